@@ -1,0 +1,111 @@
+"""Files that are either whole or absent: atomic writes, and npz archives with a format, a version and a hash."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from defplan_mj.errors import DefplanError
+
+_HEADER = "header.json"
+
+
+@contextlib.contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; move it there when the block ends without an error.
+
+    The temporary file is removed on any error, Ctrl-C included, so `path` is never half-written.
+    """
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=target.suffix, dir=target.parent)
+        os.close(handle)
+    except OSError as error:
+        raise DefplanError(f"cannot write {target}: {error.strerror}") from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        with open(temporary, "rb") as written:
+            os.fsync(written.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, target)
+    except OSError as error:
+        raise DefplanError(f"cannot write {target}: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write `text` to `path` atomically (UTF-8)."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write `data` to `path` atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def content_hash(arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of names, types, shapes and bytes of `arrays` and of `meta` (64 hex digits)."""
+    digest = hashlib.sha256(json.dumps(meta, sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name}{array.dtype.str}{array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def save_archive(
+    path: str | Path, kind: str, version: int, arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]
+) -> str:
+    """Save arrays and JSON-able `meta` as one npz archive; return its content hash.
+
+    The archive says its `kind` (e.g. 'body'), the `version` of that format and the hash of its content.
+    """
+    digest = content_hash(arrays, meta)
+    header = json.dumps({"kind": kind, "version": version, "hash": digest, "meta": meta})
+    contents: dict[str, Any] = {_HEADER: np.frombuffer(header.encode(), np.uint8), **arrays}
+    with atomic_path(path) as temporary, open(temporary, "wb") as stream:
+        np.savez_compressed(stream, **contents)
+    return digest
+
+
+def load_archive(
+    path: str | Path, kind: str, version: int
+) -> tuple[dict[str, np.ndarray], dict[str, Any], str]:
+    """Read an archive of `save_archive`: arrays, meta, hash. Nothing is unpickled.
+
+    Raises:
+        DefplanError: the file is missing, cut short, of another kind or version, or altered.
+    """
+    source = Path(path)
+    if not source.is_file():
+        raise DefplanError(f"{kind} file {source} does not exist")
+    try:
+        with np.load(source, allow_pickle=False) as archive:
+            contents = {name: archive[name] for name in archive.files}
+        header = json.loads(contents.pop(_HEADER).tobytes())
+    except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise DefplanError(f"{source} is not a whole {kind} file (cut short or damaged)") from error
+    if header.get("kind") != kind:
+        raise DefplanError(f"{source} is a {header.get('kind')} file, not a {kind} file")
+    if header.get("version") != version:
+        raise DefplanError(
+            f"{source} has {kind} format {header.get('version')}, this version reads {version}: make it anew"
+        )
+    meta = header["meta"]
+    if content_hash(contents, meta) != header["hash"]:
+        raise DefplanError(f"{source} is damaged: its content does not match its hash; make it anew")
+    return contents, meta, header["hash"]

@@ -1,0 +1,99 @@
+"""A gait as plain data: the rhythmic multitask DMP of the paper (section IV-A) and its table of target shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from defplan_mj import files
+
+FORMAT_VERSION = 1
+
+
+def dmp(alpha: np.ndarray, beta: np.ndarray, mu: np.ndarray, tau: float, time: np.ndarray) -> np.ndarray:
+    """Return sum_k alpha_k exp(beta_k cos(tau t - mu_k)), the paper's rhythmic DMP.
+
+    Args:
+        alpha, beta: (..., D, r).
+        mu: (D, r).
+        tau: angular frequency, rad/s.
+        time: (n,) s.
+
+    Returns:
+        (..., n, r) target shapes.
+    """
+    phase = tau * np.asarray(time)[:, None, None] - mu
+    return (alpha[..., None, :, :] * np.exp(beta[..., None, :, :] * np.cos(phase))).sum(-2)
+
+
+@dataclass(frozen=True)
+class Gait:
+    """One multitask gait: K tasks that share period and phase shifts.
+
+    Attributes:
+        body_hash: the body it was optimised for.
+        task_names: (K,) names, e.g. ('forward', 'left', 'right').
+        timestep: s; a gait belongs to its time step.
+        steps_per_cycle: 2 pi / (tau timestep), an integer.
+        alpha, beta: (K, D, r) activation magnitude and sharpness.
+        mu: (D, r) phase shifts.
+        amplitude: (r,) bound of the target shape: it is clipped to [-amplitude, amplitude].
+        meta: solver, seed, seconds, objective history: what the report shows.
+    """
+
+    body_hash: str
+    task_names: tuple[str, ...]
+    timestep: float
+    steps_per_cycle: int
+    alpha: np.ndarray
+    beta: np.ndarray
+    mu: np.ndarray
+    amplitude: np.ndarray
+    meta: dict = field(default_factory=dict)
+
+    @property
+    def tau(self) -> float:
+        """Angular frequency, rad/s."""
+        return 2 * np.pi / (self.steps_per_cycle * self.timestep)
+
+    @property
+    def cycle_seconds(self) -> float:
+        """Duration of one cycle, s."""
+        return self.steps_per_cycle * self.timestep
+
+    def table(self) -> np.ndarray:
+        """Return the (K, steps_per_cycle, r) target shapes; entry i is DMP((i + 1) timestep), clipped."""
+        time = self.timestep * np.arange(1, self.steps_per_cycle + 1)
+        shapes = dmp(self.alpha, self.beta, self.mu, self.tau, time)
+        return np.clip(shapes, -self.amplitude, self.amplitude)
+
+    def save(self, path: str | Path) -> None:
+        """Write the gait to `path` (npz), atomically."""
+        arrays = {"alpha": self.alpha, "beta": self.beta, "mu": self.mu, "amplitude": self.amplitude}
+        meta = {
+            "body_hash": self.body_hash,
+            "task_names": list(self.task_names),
+            "timestep": self.timestep,
+            "steps_per_cycle": self.steps_per_cycle,
+            "meta": self.meta,
+        }
+        files.save_archive(path, "gait", FORMAT_VERSION, arrays, meta)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Gait:
+        """Read a gait of `save`.
+
+        Raises:
+            DefplanError: the file is missing, damaged or of another version.
+        """
+        arrays, meta, _ = files.load_archive(path, "gait", FORMAT_VERSION)
+        return cls(
+            body_hash=meta["body_hash"],
+            task_names=tuple(meta["task_names"]),
+            timestep=meta["timestep"],
+            steps_per_cycle=meta["steps_per_cycle"],
+            meta=meta["meta"],
+            **arrays,
+        )

@@ -1,0 +1,91 @@
+/* The reduced step of a soft body: one implicit step of (c, R, q) under a target shape, with its
+ * exact derivatives, rollouts, and distance queries. Plain C11; no allocation, no global state:
+ * every call reads a body `blob` (an array of doubles that kernel/pack.py lays out) and is
+ * thread-safe. SI units; world z is up.
+ *
+ * State x, 13 + 2r doubles, in MuJoCo's order:
+ *   qpos: c (3, world), unit quaternion w x y z (4), q (r)
+ *   qvel: v (3, world), angular velocity (3, body frame), dq/dt (r)
+ * Options `par`, DP_N_PAR doubles: see the DP_* indices. */
+#ifndef DEFPLAN_KERNEL_H
+#define DEFPLAN_KERNEL_H
+#include <stddef.h>
+
+#if defined(_WIN32)
+#define DP_API __declspec(dllexport)
+#else
+#define DP_API __attribute__((visibility("default")))
+#endif
+
+enum {               /* indices of par */
+  DP_TIMESTEP,       /* s */
+  DP_FLUID_DENSITY,  /* kg/m^3 */
+  DP_DRAG_NORMAL,    /* coefficient */
+  DP_DRAG_TANGENT,   /* coefficient */
+  DP_CONTROL,        /* control stiffness, in units of the elastic one */
+  DP_DAMPING,        /* stiffness-proportional, s */
+  DP_GRAVITY,        /* along z, m/s^2 */
+  DP_RIGHTING,       /* metacentric height, m */
+  DP_TOLERANCE,      /* largest last Newton step: m, rad, units of q */
+  DP_MAX_NEWTON,     /* iterations */
+  DP_N_PAR
+};
+
+enum { DP_MAX_MODES = 16, DP_MAX_BASIS = 64, DP_MAX_SAMPLES = 40, DP_MAX_POINTS = 512 };
+
+/* Geometry of an obstacle for distance queries; types numbered as in MuJoCo's mjtGeom. */
+enum { DP_PLANE = 0, DP_SPHERE = 2, DP_CAPSULE = 3, DP_ELLIPSOID = 4, DP_CYLINDER = 5, DP_BOX = 6 };
+typedef struct {
+  int type;
+  double size[3], pos[3], mat[9]; /* mat row-major, columns are the geom's axes */
+} dp_geom;
+
+typedef struct {
+  int iterations; /* Newton iterations, all attempts */
+  int failed;     /* 1: the solve did not reach the tolerance */
+  double residual; /* size of the last Newton step */
+} dp_info;
+
+/* 0 if blob holds a body of this version in n doubles, else a negative code. */
+DP_API int dp_check(const double* blob, size_t n);
+/* r, k, number of drag patches, number of surface points */
+DP_API void dp_sizes(const double* blob, int sizes[4]);
+
+/* One step. Returns 0, or 1 if the solve failed (x_next is then the best iterate, always finite). */
+DP_API int dp_step(const double* blob, const double* par, const double* x, const double* u,
+                   double* x_next, dp_info* info);
+/* N steps: u (N x r), xs ((N+1) x nx) with xs[0] = x0 given. Returns the number of failed solves. */
+DP_API int dp_rollout(const double* blob, const double* par, int N, const double* u, double* xs,
+                      long* iterations);
+/* Jacobians of x_next, row-major: A (nx x nx), B (nx x r), at a solved step. Returns 0 or 1 (singular). */
+DP_API int dp_step_jac(const double* blob, const double* par, const double* x, const double* u,
+                       const double* x_next, double* A, double* B);
+/* Adjoint: gx = A^T g_next, gu = B^T g_next (overwritten). */
+DP_API int dp_step_adj(const double* blob, const double* par, const double* x, const double* u,
+                       const double* x_next, const double* g_next, double* gx, double* gu);
+/* Adjoint of a rollout: on entry gxs ((N+1) x nx) = dJ/dxs, on return gxs[i] is the total
+ * derivative with respect to xs[i] (gxs[0]: with respect to x0); gu (N x r) overwritten. */
+DP_API int dp_rollout_adj(const double* blob, const double* par, int N, const double* u,
+                          const double* xs, double* gxs, double* gu);
+
+/* Energies and momenta of a state: out[0] kinetic, [1] elastic, [2] potential (gravity, righting),
+ * [3..5] linear momentum, [6..8] angular momentum about the world origin; uses the discrete
+ * velocity of the step that led to x. */
+DP_API void dp_energy(const double* blob, const double* par, const double* x, double out[9]);
+
+/* World positions of the surface points, (n_s x 3) row-major. */
+DP_API void dp_surface(const double* blob, const double* qpos, double* points);
+/* Smallest signed distance between the surface points and the geoms (positive outside), at most
+ * `cutoff`; *geom and *point (may be NULL) say where, -1 if none is nearer than the cutoff. */
+DP_API double dp_clearance(const double* blob, const double* qpos, int n_geom, const dp_geom* geoms,
+                           double cutoff, int* geom, int* point);
+/* Signed distance of one point to one geom, and its outward gradient (normal, may be NULL). */
+DP_API double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]);
+
+/* Handles, for callers that can pass numbers only (CasADi): registers a copy-free reference.
+ * Returns a handle >= 0, or -1 if the table is full. The memory must outlive the handle. */
+DP_API int dp_register(const double* blob, const double* par);
+DP_API void dp_unregister(int handle);
+DP_API const double* dp_handle_blob(int handle);
+DP_API const double* dp_handle_par(int handle);
+#endif

@@ -1,0 +1,71 @@
+"""The rigid surrogate f_fit: one gait cycle moves the body by one rigid motion (paper, section IV-B)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from defplan_mj import files
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """f_fit: task j maps the body frame (c, R) to (c + R t_j, R R_j).
+
+    Attributes:
+        body_hash, gait_hash: what it was fitted to.
+        task_names: (K,) names.
+        rotations: (K, 3, 3) R_j, in the body frame at the start of the cycle.
+        translations: (K, 3) t_j, m, in the body frame at the start of the cycle.
+        cycle_seconds: duration of a cycle, s.
+        pairs: number of (before, after) pairs behind each task.
+        rotation_mean, rotation_sd: (K,) angle of the pairs' own rotations, rad (Table III).
+        translation_mean, translation_sd: (K,) length of the pairs' own translations, m (Table III).
+        radius: radius about the centre of mass that holds the body's surface over a cycle, m.
+    """
+
+    body_hash: str
+    gait_hash: str
+    task_names: tuple[str, ...]
+    rotations: np.ndarray
+    translations: np.ndarray
+    cycle_seconds: float
+    pairs: int
+    rotation_mean: np.ndarray
+    rotation_sd: np.ndarray
+    translation_mean: np.ndarray
+    translation_sd: np.ndarray
+    radius: float
+
+    def planar(self) -> np.ndarray:
+        """Return (K, 3): forward and left displacement (m) and yaw (rad) of each task."""
+        yaw = np.arctan2(self.rotations[:, 1, 0], self.rotations[:, 0, 0])
+        return np.column_stack([self.translations[:, :2], yaw])
+
+    def save(self, path: str | Path) -> None:
+        """Write the surrogate to `path` (npz), atomically."""
+        names = ("rotations", "translations", "rotation_mean", "rotation_sd")
+        names += ("translation_mean", "translation_sd")
+        meta = {
+            "body_hash": self.body_hash,
+            "gait_hash": self.gait_hash,
+            "task_names": list(self.task_names),
+            "cycle_seconds": self.cycle_seconds,
+            "pairs": self.pairs,
+            "radius": self.radius,
+        }
+        files.save_archive(path, "surrogate", FORMAT_VERSION, {n: getattr(self, n) for n in names}, meta)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Surrogate:
+        """Read a surrogate of `save`.
+
+        Raises:
+            DefplanError: the file is missing, damaged or of another version.
+        """
+        arrays, meta, _ = files.load_archive(path, "surrogate", FORMAT_VERSION)
+        return cls(task_names=tuple(meta.pop("task_names")), **meta, **arrays)

@@ -1,0 +1,113 @@
+"""What a task file says: the body, the gaits to learn, the navigation problem. Plain data, no code paths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from defplan_mj.body.model import Material, Medium
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the fraction done (0 to 1)."""
+
+
+def no_progress(message: str, fraction: float) -> None:
+    """Show nothing."""
+
+
+@dataclass(frozen=True)
+class BodyOptions:
+    """How a mesh becomes a Body.
+
+    Attributes:
+        vertices: wanted number of tetrahedral mesh vertices (met within 2).
+        modes: r, modal coordinates.
+        basis: k, size of the displacement basis.
+        samples: number of sampled tetrahedra of the second reduction.
+        patches: number of drag patches on the surface.
+        length: longest extent, m (None: as the mesh file says).
+        amplitude: largest |q_i| the reduction is sampled at and gaits may ask for.
+        material, medium: see their classes.
+    """
+
+    vertices: int = 2000
+    modes: int = 5
+    basis: int = 24
+    samples: int = 16
+    patches: int = 64
+    length: float | None = 1.0
+    amplitude: float = 1.5
+    material: Material = Material()
+    medium: Medium = Medium()
+
+
+@dataclass(frozen=True)
+class GaitTask:
+    """One task of the multitask gait: what a cycle of it should do, in the body frame.
+
+    Attributes:
+        name: e.g. 'left'.
+        yaw: wanted yaw a cycle, rad (left is positive).
+        speed: wanted advance a cycle, m.
+    """
+
+    name: str
+    yaw: float = 0.0
+    speed: float = 1.0
+
+
+@dataclass(frozen=True)
+class Navigation:
+    """The navigation problem of the second stage (paper, section V).
+
+    Attributes:
+        distance: of the targets, m.
+        goal_radius: m.
+        max_cycles: gait cycles before an episode times out.
+        k2: number of training targets, evenly spread.
+        k2_obstacles, novel_obstacles: obstacles on the way.
+        beams: laser beams.
+        laser_range: m.
+    """
+
+    distance: float = 20.0
+    goal_radius: float = 1.0
+    max_cycles: int = 200
+    k2: int = 10
+    k2_obstacles: int = 2
+    novel_obstacles: int = 10
+    beams: int = 64
+    laser_range: float = 10.0
+
+
+@dataclass(frozen=True)
+class TaskSpec:
+    """A task: one body, its gaits and its navigation problem.
+
+    Attributes:
+        name: 'domain-task', e.g. 'fish-swim'.
+        description: one line for `defplan list`.
+        mesh: path of the mesh file the body is built from.
+        body: how it is built.
+        timestep: of the reduced step, s.
+        steps_per_cycle: steps in one gait cycle.
+        gait_tasks: what the gaits should do.
+        gait_steps: N_1, steps of a gait trajectory.
+        navigation: the second stage.
+        gait_solver, planner: default plugins, by name.
+        paper: the paper's figures for this example (Tables I to III), for the report.
+    """
+
+    name: str
+    description: str
+    mesh: Path
+    body: BodyOptions
+    timestep: float
+    steps_per_cycle: int
+    gait_tasks: tuple[GaitTask, ...]
+    gait_steps: int = 200
+    navigation: Navigation = Navigation()
+    gait_solver: str = "shooting"
+    planner: str = "dql"
+    paper: dict = field(default_factory=dict)
