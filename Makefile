@@ -1,0 +1,62 @@
+# Every target sets up what it needs: an environment in .venv with the locked versions, the C libraries.
+# Nothing of that is done again until the lock, the packaging or a C source changes.
+
+VENV := .venv
+PYTHON := $(VENV)/bin/python
+READY := $(VENV)/.defplan-ready
+SOURCES := requirements.lock pyproject.toml setup.py \
+	$(wildcard defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch])
+LINTED := defplan_mj tasks solvers
+# Rendering without a screen; set MUJOCO_GL yourself to choose another way.
+export MUJOCO_GL ?= egl
+export PYOPENGL_PLATFORM ?= $(MUJOCO_GL)
+
+.PHONY: help setup demo test test-full bench lint clean
+
+help:
+	@echo "make demo       build the fish from its mesh, train it, log and report it"
+	@echo "make test       the tests, without the slow ones"
+	@echo "make test-full  all tests"
+	@echo "make bench      time what the README's tables state"
+	@echo "make lint       ruff and mypy"
+	@echo "make clean      remove what was built (not .venv, not logs)"
+
+setup: $(READY)
+
+demo: $(READY)
+	$(VENV)/bin/defplan run fish-swim
+
+test: $(READY)
+	$(PYTHON) -m pytest -q
+
+test-full: $(READY)
+	$(PYTHON) -m pytest -q -m ""
+
+bench: $(READY)
+	$(VENV)/bin/defplan bench
+
+lint: $(READY)
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy $(LINTED)
+
+# The libraries are built first and by themselves, so that a missing compiler is one sentence.
+$(READY): $(SOURCES) | $(PYTHON)
+	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(PYTHON) setup.py -q build_ext --inplace
+	$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
+	@touch $@
+
+$(PYTHON):
+	@found=; for p in python3.11 python3.12 python3.13 python3 python; do \
+	  if $$p -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; \
+	  then found=$$p; break; fi; done; \
+	if [ -z "$$found" ]; then \
+	  echo "defplan needs Python 3.11 or newer with its venv module; none was found on PATH" >&2; \
+	  exit 1; fi; \
+	echo "making $(VENV) with $$($$found --version)"; $$found -m venv $(VENV)
+
+clean:
+	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .mypy_cache
+	find defplan_mj tasks solvers tests -name __pycache__ -prune -exec rm -rf {} +
+	rm -f defplan_mj/*/*.so defplan_mj/*/*.built $(READY)
