@@ -26,10 +26,8 @@ ROOT = Path(__file__).resolve().parent
 KERNEL = Path("defplan_mj/kernel")
 HOST = Path("defplan_mj/host")
 # Reassociation lets the compiler vectorise sums; NaN and infinity keep their meaning.
-FLAGS = (
-    "-O3 -std=c11 -fPIC -shared -fvisibility=hidden -fno-math-errno -fno-trapping-math "
-    "-fassociative-math -fno-signed-zeros"
-).split()
+FLAGS = ["-O3", "-std=c11", "-fPIC", "-shared", "-fvisibility=hidden", "-fno-math-errno"]
+FLAGS += ["-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros"]
 NO_COMPILER = (
     "defplan needs a C compiler to build its kernel: install gcc or clang, or name one in CC"
 )
@@ -125,8 +123,10 @@ class BuildLibraries(build_ext):
         recipe = hashlib.sha256((machine + shlex.join(command)).encode())
         for source in [*library.sources, *library.headers]:
             recipe.update(source.read_bytes())
-        stamp = output.with_suffix(".built")
-        if output.exists() and stamp.exists() and stamp.read_text() == recipe.hexdigest():
+        stamp = library.path.with_suffix(".built")  # in the source tree, not in a wheel
+        in_place = output == library.path
+        made = stamp.read_text() if stamp.exists() else ""
+        if in_place and output.exists() and made == recipe.hexdigest():
             return
         output.parent.mkdir(parents=True, exist_ok=True)
         # Written aside and moved: a running process keeps the library it has loaded.
@@ -140,7 +140,8 @@ class BuildLibraries(build_ext):
             os.replace(temporary, output)
         finally:
             temporary.unlink(missing_ok=True)
-        stamp.write_text(recipe.hexdigest())
+        if in_place:
+            stamp.write_text(recipe.hexdigest())
         print(f"built {output}")
 
     def get_outputs(self) -> list[str]:
@@ -167,7 +168,8 @@ PLUGINS = {"tasks": "defplan_tasks", "solvers": "defplan_solvers"}
 setup(
     packages=packages(),
     package_dir={name: folder for folder, name in PLUGINS.items()},
-    package_data={"": ["*.c", "*.h", "*.so", "*.html", "*.xml", "assets/*", "templates/*"]},
+    package_data={"": ["*.c", "*.h", "*.html", "*.xml", "assets/*", "templates/*"]},
+    include_package_data=False,
     # The sources are listed in `libraries`; the entry makes setuptools run build_ext.
     ext_modules=[Extension("defplan_mj.kernel.libdefplan_kernel", sources=[])],
     cmdclass={"build_ext": BuildLibraries},
