@@ -1,0 +1,106 @@
+"""Builds a Body from a mesh file: mesh, modes, rotation-strain coordinates, reduction, patches."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from defplan_mj.body.drag import drag_patches
+from defplan_mj.body.elasticity import linear_modes
+from defplan_mj.body.meshing import fill
+from defplan_mj.body.model import Body
+from defplan_mj.body.reduction import reduce_shapes
+from defplan_mj.body.rotation_strain import RotationStrain, feature_map
+from defplan_mj.body.surface import Surface, load_mesh
+from defplan_mj.body.tetmesh import TetMesh, boundary, lumped_mass, quality, volumes
+from defplan_mj.task import BodyOptions, Progress, no_progress
+
+_ROTATION, _STRAIN = 1.0, 0.4  # what q = 1 is about: rad of rotation, or strain
+
+
+def mode_scales(features: np.ndarray) -> np.ndarray:
+    """Return (r,) what each mode of a feature map (t, 9, r) is divided by for the unit of q.
+
+    After it the 99% quantile over the tetrahedra is 1 rad of rotation or 0.4 of strain
+    (spectral norm), whichever comes first.
+    """
+    rotation = np.linalg.norm(features[:, :3], axis=1)
+    index = np.array([[3, 4, 5], [4, 6, 7], [5, 7, 8]])
+    strain = np.linalg.norm(features[:, index].transpose(0, 3, 1, 2), ord=2, axis=(2, 3))
+    return np.maximum(
+        np.quantile(rotation, 0.99, axis=0) / _ROTATION, np.quantile(strain, 0.99, axis=0) / _STRAIN
+    )
+
+
+def build_body(
+    mesh_path: str | Path,
+    options: BodyOptions = BodyOptions(),
+    progress: Progress = no_progress,
+    name: str | None = None,
+) -> Body:
+    """Build a body; the same file and options give the same body to the bit.
+
+    Args:
+        mesh_path: a closed surface (what trimesh reads) or a tetrahedral mesh (what meshio reads).
+        options: see `BodyOptions`.
+        name: of the body; the file's stem if not given.
+
+    Raises:
+        DefplanError: the mesh cannot be used; the sentence says why and what mends it.
+    """
+    progress("reading the mesh", 0.0)
+    loaded = load_mesh(mesh_path, options.length)
+    source: dict = {"mesh": Path(mesh_path).name, "options": asdict(options)}
+    if isinstance(loaded, Surface):
+        progress("filling it with tetrahedra", 0.05)
+        mesh = fill(loaded, options.vertices)
+        source["volume_error"] = float(
+            volumes(mesh.vertices, mesh.tetrahedra).sum() / loaded.volume - 1
+        )
+    else:
+        mesh = loaded
+    shape = quality(mesh.vertices, mesh.tetrahedra)
+    source["quality"] = {"min": float(shape.min()), "mean": float(shape.mean())}
+
+    mass = lumped_mass(mesh.vertices, mesh.tetrahedra, options.material.density)
+    mesh = TetMesh(mesh.vertices - mass @ mesh.vertices / mass.sum(), mesh.tetrahedra)
+    progress("finding the linear modes", 0.2)
+    values, modes = linear_modes(mesh, options.material, mass, options.modes)
+    scales = mode_scales(feature_map(mesh, modes))
+    modes = modes / scales
+    amplitude = np.full(options.modes, float(options.amplitude))
+
+    progress("reducing the rotation-strain map", 0.35)
+    exact = RotationStrain(mesh, mass, modes)
+    reduction = reduce_shapes(exact, mass, amplitude, options.basis, options.samples)
+    shapes = np.concatenate([mesh.vertices[:, :, None], reduction.basis], axis=2)
+    progress("placing the drag patches", 0.95)
+    patches = drag_patches(mesh, shapes, options.patches)
+    faces, _ = boundary(mesh.tetrahedra)
+    body = Body(
+        name=name or Path(mesh_path).stem,
+        material=options.material,
+        medium=options.medium,
+        vertices=mesh.vertices,
+        tetrahedra=mesh.tetrahedra,
+        faces=faces,
+        vertex_mass=mass,
+        modes=modes,
+        frequencies=np.sqrt(values) / (2.0 * np.pi),
+        stiffness=values / scales**2,
+        amplitude=amplitude,
+        basis=reduction.basis,
+        sampled=reduction.sampled,
+        feature_map=exact.features[reduction.sampled],
+        feature_weights=reduction.feature_weights,
+        moments=np.einsum("v,via,vjb->abij", mass, shapes, shapes, optimize=True),
+        patch_points=patches.points,
+        patch_tangents=patches.tangents,
+        patch_areas=patches.areas,
+        surface=np.unique(faces),
+        source=source,
+    )
+    progress("body built", 1.0)
+    return body

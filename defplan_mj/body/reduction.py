@@ -1,0 +1,114 @@
+"""The second reduction: a small displacement basis, and its coordinates from a few tetrahedra.
+
+u(q) = B z(q), z(q) = C vec(F_S(q) - I): B by proper orthogonal decomposition of sampled shapes,
+the tetrahedra S by block orthogonal matching pursuit, C by ridge least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from defplan_mj.body.rotation_strain import RotationStrain, deformation
+
+_CANDIDATES = 400  # tetrahedra that the pursuit chooses from
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """See `Body` for the shapes."""
+
+    basis: np.ndarray
+    sampled: np.ndarray
+    feature_weights: np.ndarray
+
+
+def sample_shapes(count: int, amplitude: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return shapes q (count, r) as gaits use them, from small to `amplitude` (r,).
+
+    The largest coordinate is spread over (0.05, 1)^0.7 of its bound; the 2-norm stays below 1.5
+    times the bound, for several modes at full swing at once are not met.
+    """
+    r = len(amplitude)
+    q = rng.uniform(-1.0, 1.0, (count, r))
+    q *= rng.uniform(0.05, 1.0, (count, 1)) ** 0.7 / np.abs(q).max(1, keepdims=True)
+    q *= np.minimum(1.0, 1.5 / np.maximum(np.linalg.norm(q, axis=1, keepdims=True), 1e-12))
+    return q * amplitude
+
+
+def pod_basis(shapes: np.ndarray, mass: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mass-orthonormal basis (n, 3, k) of shapes (m, n, 3), and coordinates (m, k).
+
+    The component of largest size of each basis vector is positive.
+    """
+    root = np.repeat(np.sqrt(mass), 3)
+    rows = shapes.reshape(len(shapes), -1) * root
+    values, vectors = np.linalg.eigh(rows @ rows.T)
+    order = np.argsort(values)[::-1][:count]
+    basis, triangular = np.linalg.qr(rows.T @ vectors[:, order])
+    largest = np.take_along_axis(basis, np.abs(basis).argmax(0)[None], axis=0)
+    basis = basis * np.sign(largest)
+    coordinates = rows @ basis
+    return (basis / root[:, None]).reshape(*shapes.shape[1:], count), coordinates
+
+
+def choose_tetrahedra(features: np.ndarray, targets: np.ndarray, count: int) -> list[int]:
+    """Choose the blocks that explain the targets best, one after another (block OMP).
+
+    Args:
+        features: (c, m, 9) F - I of c candidates in m shapes.
+        targets: (m, k) coordinates to explain.
+    """
+    blocks = features.copy()
+    residual = targets.copy()
+    floor = 1e-7 * np.einsum("cmi,cmi->c", blocks, blocks).max() * np.eye(9)
+    chosen: list[int] = []
+    for _ in range(count):
+        gram = np.einsum("cmi,cmj->cij", blocks, blocks) + floor
+        share = np.einsum("cmi,mk->cik", blocks, residual)
+        gain = np.einsum("cik,cik->c", share, np.linalg.solve(gram, share))
+        gain[chosen] = -1.0
+        best = int(np.argmax(gain))
+        chosen.append(best)
+        u, s, _ = np.linalg.svd(blocks[best], full_matrices=False)
+        u = u[:, s > 1e-6 * s[0]]
+        residual -= u @ (u.T @ residual)
+        blocks -= u @ (u.T @ blocks)
+    return chosen
+
+
+def fit_weights(features: np.ndarray, targets: np.ndarray, ridge: float = 1e-9) -> np.ndarray:
+    """Return C (k, f) with targets (m, k) ~ features (m, f) C^T, by ridge least squares."""
+    gram = features.T @ features
+    gram += ridge * np.trace(gram) / len(gram) * np.eye(len(gram))
+    return np.linalg.solve(gram, features.T @ targets).T
+
+
+def reduce_shapes(
+    exact: RotationStrain,
+    mass: np.ndarray,
+    amplitude: np.ndarray,
+    basis: int,
+    samples: int,
+    shapes: int = 800,
+    seed: int = 0,
+) -> Reduction:
+    """Build the second reduction from `shapes` sampled shapes up to `amplitude` (r,)."""
+    rng = np.random.default_rng(seed)
+    q = sample_shapes(shapes, amplitude, rng)
+    displaced = exact.displacement(q)
+    vectors, z = pod_basis(displaced, mass, basis)
+    candidates = np.sort(
+        rng.choice(
+            len(exact.volumes),
+            min(_CANDIDATES, len(exact.volumes)),
+            replace=False,
+            p=exact.volumes / exact.volumes.sum(),
+        )
+    )
+    values = deformation(exact.features[candidates], q).reshape(shapes, len(candidates), 9)
+    chosen = choose_tetrahedra(values.transpose(1, 0, 2), z, samples)
+    sampled = candidates[np.sort(chosen)]
+    fitted = deformation(exact.features[sampled], q).reshape(shapes, -1)
+    return Reduction(vectors, sampled, fit_weights(fitted, z))

@@ -1,0 +1,111 @@
+"""Rotation-strain coordinates: from modal coordinates q to finite deformation, on all tetrahedra.
+
+The linear displacement's gradient is split into its skew part (rotation vector w) and symmetric
+part (strain e); each tetrahedron gets F = exp([w]) (I + e), and the displacement is the one whose
+gradients come nearest to all F - I (Huang et al. 2011; the paper's [22]).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as sla
+
+from defplan_mj.body.elasticity import SYMMETRIC
+from defplan_mj.body.tetmesh import TetMesh, shape_gradients, volumes
+
+STRAIN = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""Order of the six strain components in a feature map."""
+_STRAIN_INDEX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+_CHUNK = 64  # shapes reconstructed at once: bounds the memory
+
+
+def feature_map(mesh: TetMesh, modes: np.ndarray) -> np.ndarray:
+    """Return (t, 9, r): maps q to rotation vector (3) and strain (6) of each tetrahedron.
+
+    Args:
+        modes: (n, 3, r) displacement per unit of q, m.
+    """
+    g = shape_gradients(mesh.vertices, mesh.tetrahedra)
+    gradient = np.einsum("eaj,eair->eijr", g, modes[mesh.tetrahedra])
+    skew = 0.5 * (gradient - gradient.transpose(0, 2, 1, 3))
+    strain = 0.5 * (gradient + gradient.transpose(0, 2, 1, 3))
+    rows = [skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]]
+    rows += [strain[:, i, j] for i, j in STRAIN]
+    return np.stack(rows, axis=1)
+
+
+def exponential(w: np.ndarray) -> np.ndarray:
+    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3)."""
+    square = (w * w).sum(-1)
+    small = square < 1e-8
+    safe = np.where(small, 1.0, square)
+    angle = np.sqrt(safe)
+    a = np.where(small, 1.0 - square / 6.0, np.sin(angle) / angle)
+    b = np.where(small, 0.5 - square / 24.0, (1.0 - np.cos(angle)) / safe)
+    x, y, z = w[..., 0], w[..., 1], w[..., 2]
+    result = b[..., None, None] * (w[..., :, None] * w[..., None, :])
+    diagonal = 1.0 - b * square
+    for i in range(3):
+        result[..., i, i] += diagonal
+    result[..., 2, 1] += a * x
+    result[..., 1, 2] -= a * x
+    result[..., 0, 2] += a * y
+    result[..., 2, 0] -= a * y
+    result[..., 1, 0] += a * z
+    result[..., 0, 1] -= a * z
+    return result
+
+
+def deformation(features: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Return F - I (m, t, 3, 3) for shapes q (m, r) and a feature map (t, 9, r)."""
+    values = np.einsum("tfr,mr->mtf", features, q, optimize=True)
+    strain = values[..., 3:][..., _STRAIN_INDEX]
+    rotation = exponential(values[..., :3])
+    return rotation @ (np.eye(3) + strain) - np.eye(3)
+
+
+class RotationStrain:
+    """The exact map q -> u(q) of a body: all tetrahedra, one Poisson solve.
+
+    Args:
+        mesh: the body at rest.
+        mass: (n,) vertex masses, kg; their centre does not move.
+        modes: (n, 3, r) linear modes.
+    """
+
+    def __init__(self, mesh: TetMesh, mass: np.ndarray, modes: np.ndarray) -> None:
+        self.mesh = mesh
+        self.features = feature_map(mesh, modes)
+        self.volumes = volumes(mesh.vertices, mesh.tetrahedra)
+        self._mean = mass / mass.sum()
+        g = shape_gradients(mesh.vertices, mesh.tetrahedra)
+        tets, n = len(mesh.tetrahedra), len(mesh.vertices)
+        rows = np.repeat(np.arange(3 * tets), 4)
+        columns = np.repeat(mesh.tetrahedra, 3, axis=0).ravel()
+        gradient = sp.csr_matrix((g.transpose(0, 2, 1).ravel(), (rows, columns)), (3 * tets, n))
+        self._weighted = (gradient.T @ sp.diags(np.repeat(self.volumes, 3))).tocsr()
+        laplacian = (self._weighted @ gradient).tocsc()
+        # pinning one vertex removes the constant; the centre of mass is set afterwards
+        self._factor = sla.splu(laplacian[1:, 1:].tocsc(), **SYMMETRIC)
+
+    def displacement(self, q: np.ndarray) -> np.ndarray:
+        """Return u (m, n, 3), m, of shapes q (m, r)."""
+        return np.concatenate(list(self.displacements(np.atleast_2d(q))))
+
+    def displacements(self, q: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield u of the shapes q (m, r) in pieces of (at most 64, n, 3), m."""
+        for start in range(0, len(q), _CHUNK):
+            yield self.nearest(deformation(self.features, q[start : start + _CHUNK]))
+
+    def nearest(self, wanted: np.ndarray) -> np.ndarray:
+        """Return u (m, n, 3) whose gradients come nearest to `wanted` (m, t, 3, 3), F - I."""
+        shapes, tets = wanted.shape[:2]
+        columns = wanted.transpose(1, 3, 0, 2).reshape(3 * tets, 3 * shapes)
+        right = self._weighted @ columns
+        u = np.zeros_like(right)
+        u[1:] = self._factor.solve(right[1:])
+        u -= self._mean @ u
+        return u.reshape(-1, shapes, 3).transpose(1, 0, 2)

@@ -1,0 +1,65 @@
+"""Tetrahedral meshes: volumes, shape quality, gradients, boundary, mass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+_FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))  # outward, for positive volume
+
+
+@dataclass(frozen=True)
+class TetMesh:
+    """A tetrahedral mesh.
+
+    Attributes:
+        vertices: (n, 3), m.
+        tetrahedra: (t, 4) vertex indices, positive volume.
+    """
+
+    vertices: np.ndarray
+    tetrahedra: np.ndarray
+
+
+def volumes(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Return the signed volumes (t,), m^3."""
+    a, b, c, d = (vertices[tetrahedra[:, i]] for i in range(4))
+    return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
+
+
+def quality(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Return 6 sqrt(2) volume / l_rms^3 (t,): 1 for a regular tetrahedron, 0 for a flat one."""
+    corners = vertices[tetrahedra]
+    square = sum(((corners[:, i] - corners[:, j]) ** 2).sum(1) for i, j in _EDGES)
+    return 6.0 * np.sqrt(2.0) * volumes(vertices, tetrahedra) / (square / 6.0) ** 1.5
+
+
+def boundary(tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the boundary triangles (f, 3), outward, and the tetrahedron (f,) each belongs to."""
+    faces = np.concatenate([tetrahedra[:, corners] for corners in _FACES])
+    owner = np.tile(np.arange(len(tetrahedra)), 4)
+    _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
+    keep = np.sort(first[count == 1])
+    return faces[keep], owner[keep]
+
+
+def shape_gradients(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Return the gradients (t, 4, 3) of the four linear shape functions, 1/m."""
+    corners = vertices[tetrahedra]
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    inverse = np.linalg.inv(edges)
+    return np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)
+
+
+def lumped_mass(vertices: np.ndarray, tetrahedra: np.ndarray, density: float) -> np.ndarray:
+    """Return the vertex masses (n,), kg: a quarter of each tetrahedron goes to each corner."""
+    share = np.repeat(density * volumes(vertices, tetrahedra) / 4.0, 4)
+    return np.bincount(tetrahedra.ravel(), share, minlength=len(vertices))
+
+
+def compact(vertices: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
+    """Drop the vertices that no tetrahedron uses; the order of the others stays."""
+    used, index = np.unique(tetrahedra, return_inverse=True)
+    return TetMesh(vertices[used], index.reshape(tetrahedra.shape))
