@@ -1,0 +1,359 @@
+"""Stream one episode to an MCAP log while it runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import json
+import os
+import platform
+import tempfile
+from collections.abc import Callable, Mapping
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.writer import Writer
+from mcap_protobuf.schema import register_schema
+
+import defplan_mj
+from defplan_mj.body.model import Body
+from defplan_mj.errors import DefplanError
+from defplan_mj.gait.gait import Gait
+from defplan_mj.log import schemas, wire
+from defplan_mj.log.decimate import decimate
+from defplan_mj.log.messages import laser_scan, scene_update
+from defplan_mj.log.poses import predict, rotation_matrix
+from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.surrogate import Surrogate
+
+CHUNK_SECONDS = 1.0
+"""Simulated seconds in a chunk: what a log that is cut loses at most."""
+
+_MESH_GRID = 2.0**-12  # m; drawn points are rounded to it, so that they compress
+_MESH_COLOUR = (0.16, 0.55, 0.62, 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class RunFiles:
+    """What every log of a run holds besides the episode, encoded once: body, gait, surrogate, policy.
+
+    Attributes:
+        body, gait, surrogate: as loaded.
+        attachments: file name -> bytes, as they go into the log.
+    """
+
+    body: Body
+    gait: Gait | None = None
+    surrogate: Surrogate | None = None
+    attachments: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        body: Body,
+        gait: Gait | None = None,
+        surrogate: Surrogate | None = None,
+        policy: str | Path | None = None,
+    ) -> RunFiles:
+        """Encode the run's parts; `policy` is the planner's file, if it has one."""
+        attachments = {}
+        with tempfile.TemporaryDirectory() as folder:
+            for name, part in (("body", body), ("gait", gait), ("surrogate", surrogate)):
+                if part is not None:
+                    path = Path(folder) / f"{name}.npz"
+                    part.save(path)
+                    attachments[path.name] = path.read_bytes()
+        if policy is not None:
+            attachments[f"policy{Path(policy).suffix}"] = _read(policy)
+        return cls(body, gait, surrogate, attachments)
+
+    @cached_property
+    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of the body's surface points to draw, and their faces (at most 800)."""
+        vertices, faces = decimate(self.body.vertices, self.body.faces, 800)
+        return np.searchsorted(self.body.surface, vertices), faces
+
+
+class Recorder:
+    """Writes `path` (MCAP) while an episode runs: `begin`, then `step`s and `cycle`s, then `end`.
+
+    The log grows as `<name>.partial.mcap`, a chunk a simulated second, and gets its name `<name>.mcap`
+    when `end` has written how the episode ended: a log under its final name is whole, and one of a
+    run that was stopped can still be read. As a context manager, it closes the file in any case.
+
+    Args:
+        path: the log's final name.
+        files: what is attached: body, gait, surrogate, policy.
+        surface: x -> (n_s, 3) world points of `body.surface`; None: of the reduced dynamics.
+        mesh_every: the drawn surface is logged every so many steps (0: never).
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        files: RunFiles,
+        surface: Callable[[np.ndarray], np.ndarray] | None = None,
+        mesh_every: int = 2,
+    ) -> None:
+        self.path = Path(path)
+        self.partial = self.path.with_suffix(f".partial{self.path.suffix}")
+        self._files = files
+        self._surface = surface
+        self._mesh_every = mesh_every
+        self._writer: Writer | None = None
+
+    def begin(self, context: Mapping[str, Any], scene: Scene) -> None:
+        """Open the log and write all that is known before the first step.
+
+        Args:
+            context: JSON-able configuration (task, seed, planner, shield, navigation, ...), with
+                'timestep' (s), 'state' (nx,) at the start and optionally 'time' (s, default 0).
+            scene: the navigation problem.
+
+        Raises:
+            DefplanError: the file cannot be written.
+        """
+        given = dict(context)
+        x = np.array(given.pop("state"), float)
+        time = float(given.pop("time", 0.0))
+        modes = self._files.body.n_modes
+        if x.shape != (13 + 2 * modes,):
+            raise ValueError(f"state has shape {x.shape}, the body's is ({13 + 2 * modes},)")
+        if self._surface is None:
+            # here, not above: reading a log needs no compiled kernel
+            from defplan_mj.dynamics.reduced import ReducedDynamics
+
+            self._surface = ReducedDynamics(self._files.body, given["timestep"]).surface
+        self._scene = scene
+        self._moving = bool(np.any(scene.velocities))
+        self._steps = self._cycles = 0
+        self._cycle_times = [time]  # of the states since the running cycle began
+        self._start = self._last = x
+        self._chunk_time = time
+        self._prepare(modes)
+
+        identity = {
+            "format": schemas.FORMAT_VERSION,
+            "task": given.get("task", ""),
+            "seed": given.get("seed", ""),
+            "timestep": given["timestep"],
+            "modes": modes,
+            "body_hash": self._files.body.hash,
+        }
+        configuration = {**given, "scene": dataclasses.asdict(scene)}
+        try:
+            self.partial.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = open(self.partial, "wb")  # noqa: SIM115 (as long as the episode)
+            # a chunk ends where `_flush` says, between two steps, not at a size
+            self._writer = Writer(self._stream, chunk_size=1 << 30)
+            self._writer.start(library=f"defplan {defplan_mj.__version__}")
+            self._writer.add_metadata(
+                schemas.IDENTITY_RECORD, {key: str(value) for key, value in identity.items()}
+            )
+            self._writer.add_metadata(schemas.VERSIONS_RECORD, versions())
+            self._writer.add_metadata(
+                schemas.CONFIGURATION_RECORD, {"json": json.dumps(configuration, default=_plain)}
+            )
+            for name, data in self._files.attachments.items():
+                self._writer.add_attachment(0, 0, name, "application/octet-stream", data)
+        except OSError as error:
+            raise self._failure(error) from error
+        kinds = {kind: register_schema(self._writer, kind) for kind in schemas.CHANNELS.values()}
+        self._channels = {
+            topic: self._writer.register_channel(topic, "protobuf", kinds[kind])
+            for topic, kind in schemas.CHANNELS.items()
+        }
+        self._write(schemas.SCENE, time, scene_update(scene, _ns(time)))
+        self._write_state(time, x)
+
+    def step(self, time: float, x: np.ndarray, target_shape: np.ndarray, clearance: float) -> None:
+        """Log one physics step.
+
+        Args:
+            time: at its end, s.
+            x: (nx,) state at its end; kept to the bit.
+            target_shape: (r,) control that led to x; kept to the bit.
+            clearance: smallest distance from body to obstacle at x, m (negative: in collision).
+        """
+        if time - self._chunk_time >= CHUNK_SECONDS:
+            self._flush()
+            self._chunk_time = time
+        self._steps += 1
+        self._cycle_times.append(time)
+        x = self._last = np.array(x, float)
+        self._write_state(time, x)
+        self._numbers(schemas.TARGET_SHAPE, time, target_shape)
+        self._numbers(schemas.CONTACTS, time, np.array([clearance, clearance < 0]))
+
+    def cycle(
+        self,
+        index: int,
+        time: float,
+        x: np.ndarray,
+        gait_index: int,
+        values: np.ndarray,
+        reward: float,
+        laser: np.ndarray,
+        surrogate_pose: np.ndarray | None = None,
+    ) -> None:
+        """Log one gait cycle, after its last step.
+
+        Args:
+            index: of the cycle, from 0.
+            time: of the decision, that is at the cycle's start, s.
+            x: (nx,) state at the decision.
+            gait_index: the gait that was chosen.
+            values: (K,) the planner's value of each gait.
+            reward: of the cycle.
+            laser: (beams,) distances that were measured at the decision, m.
+            surrogate_pose: (7,) position and quaternion the surrogate predicts for the cycle's end
+                (None: computed here from the run's surrogate, if it has one).
+        """
+        if not np.array_equal(x, self._start):
+            raise ValueError(f"cycle {index}: x is not the state at the cycle's start")
+        times, end = self._cycle_times, self._cycle_times[-1]
+        for number, at in enumerate(times[:-1]):
+            phase = number / (len(times) - 1)
+            self._numbers(schemas.GAIT, at, np.array([gait_index, phase, index], float))
+        self._write(schemas.LASER, time, laser_scan(x, laser, _ns(time)))
+        self._numbers(schemas.VALUES, time, values)
+        self._numbers(schemas.REWARD, end, np.array([reward], float))
+        if surrogate_pose is None and self._files.surrogate is not None:
+            surrogate_pose = predict(self._files.surrogate, x[:7], gait_index)
+        if surrogate_pose is not None:
+            message = wire.pose_in_frame(_ns(end), self._frame, surrogate_pose)
+            self._write(schemas.SURROGATE, end, message)
+        self._cycles += 1
+        self._cycle_times = [end]
+        self._start = self._last
+
+    def end(self, outcome: str, reason: str = "") -> None:
+        """Write how the episode ended, close the log and give it its final name.
+
+        Args:
+            outcome: 'success', 'collision' or 'timeout'.
+            reason: a sentence, for people.
+        """
+        self._close({"outcome": outcome, "reason": reason})
+        try:
+            os.replace(self.partial, self.path)
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._writer is None:
+            return
+        # the episode did not get to its end: leave what there is, readable, under the partial name
+        try:
+            self._close(None)
+        except DefplanError:
+            if kind is None:
+                raise
+
+    def _close(self, ending: Mapping[str, str] | None) -> None:
+        """Write the last chunk, the end record (if the episode ended) and the index; close."""
+        assert self._writer is not None, "begin was not called, or the log is closed already"
+        writer, self._writer = self._writer, None
+        try:
+            with self._stream:
+                writer.flush()
+                if ending is not None:
+                    counts = {"steps": str(self._steps), "cycles": str(self._cycles)}
+                    writer.add_metadata(schemas.END_RECORD, {**ending, **counts})
+                writer.finish()
+                self._stream.flush()
+                os.fsync(self._stream.fileno())
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def _prepare(self, modes: int) -> None:
+        """Pack the parts of messages that stay the same."""
+        names = {
+            schemas.STATE: schemas.state_labels(modes),
+            schemas.TARGET_SHAPE: schemas.shape_labels(modes),
+            schemas.CONTACTS: ["clearance", "collision"],
+            schemas.GAIT: ["gait", "phase", "cycle"],
+            schemas.VALUES: self._files.gait.task_names if self._files.gait else [],
+            schemas.REWARD: ["reward"],
+        }
+        self._labels = {topic: wire.labels(labels) for topic, labels in names.items()}
+        self._frame = wire.text(2, schemas.WORLD_FRAME)
+        self._frames = self._frame + wire.text(3, schemas.ROBOT_FRAME)
+        if self._mesh_every:
+            self._rows, faces = self._files.mesh
+            self._mesh = wire.TriangleMesh("robot", schemas.ROBOT_FRAME, faces, _MESH_COLOUR)
+
+    def _write_state(self, time: float, x: np.ndarray) -> None:
+        """Write the state and what is drawn of it: frame, centre of mass, surface, moving obstacles."""
+        now = _ns(time)
+        self._numbers(schemas.STATE, time, x)
+        self._write(schemas.TF, time, wire.frame_transform(now, self._frames, x))
+        self._write(schemas.COM, time, wire.pose_in_frame(now, self._frame, x))
+        if not self._mesh_every or self._steps % self._mesh_every:
+            return
+        world = self._surface(x)[self._rows]
+        local = (world - x[:3]) @ rotation_matrix(x[3:7])
+        points = np.rint(local / _MESH_GRID) * _MESH_GRID
+        self._write(schemas.MESH, time, self._mesh.encode(now, points))
+        if self._moving and self._steps:
+            self._write(schemas.SCENE, time, scene_update(self._scene, now))
+
+    def _numbers(self, topic: str, time: float, values: np.ndarray) -> None:
+        message = wire.labelled_numbers(_ns(time), self._labels[topic], values)
+        self._write(topic, time, message)
+
+    def _write(self, topic: str, time: float, message: bytes) -> None:
+        assert self._writer is not None, "begin was not called, or the log is closed already"
+        now = _ns(time)
+        # `sequence` counts physics steps, so that messages can be told apart without their times
+        self._writer.add_message(self._channels[topic], now, message, now, self._steps)
+
+    def _flush(self) -> None:
+        """End the chunk: what was written until now survives whatever comes."""
+        assert self._writer is not None
+        try:
+            self._writer.flush()
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def _failure(self, error: OSError) -> DefplanError:
+        return DefplanError(f"cannot write log {self.partial}: {error.strerror or error}")
+
+
+@lru_cache
+def versions() -> dict[str, str]:
+    """Return what a bit-identical replay may depend on: packages, Python, system, processor."""
+    found = {"defplan": defplan_mj.__version__, "python": platform.python_version()}
+    for package in ("mujoco", "dm-control", "numpy", "casadi", "torch", "mcap"):
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return {**found, "system": platform.system(), "machine": platform.machine()}
+
+
+def _ns(time: float) -> int:
+    return round(time * 1e9)
+
+
+def _plain(value: Any) -> Any:
+    """Make NumPy values, dataclasses and paths JSON-able."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
+    if isinstance(value, Path):
+        return value.name  # a log is read elsewhere: where the file lay here says nothing
+    raise TypeError(f"{type(value).__name__} in a log's configuration")
+
+
+def _read(path: str | Path) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise DefplanError(f"cannot read {path}: {error.strerror}") from error

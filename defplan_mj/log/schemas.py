@@ -1,0 +1,91 @@
+"""What a log's channels are called and carry: foxglove schemas, and one of our own for labelled numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+
+FORMAT_VERSION = 1
+"""Version of the log's layout, in the metadata record `defplan`."""
+
+
+def _labelled_numbers() -> Any:
+    """Build the message class `defplan.LabelledNumbers` without a protobuf compiler."""
+    field = descriptor_pb2.FieldDescriptorProto
+    proto = descriptor_pb2.FileDescriptorProto(
+        name="defplan/LabelledNumbers.proto",
+        package="defplan",
+        syntax="proto3",
+        dependency=[timestamp_pb2.DESCRIPTOR.name],
+    )
+    message = proto.message_type.add(name="LabelledNumbers")
+    message.field.add(
+        name="timestamp",
+        number=1,
+        type=field.TYPE_MESSAGE,
+        type_name=".google.protobuf.Timestamp",
+        label=field.LABEL_OPTIONAL,
+    )
+    message.field.add(name="labels", number=2, type=field.TYPE_STRING, label=field.LABEL_REPEATED)
+    message.field.add(name="values", number=3, type=field.TYPE_DOUBLE, label=field.LABEL_REPEATED)
+    pool = descriptor_pool.Default()
+    pool.Add(proto)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName("defplan.LabelledNumbers"))
+
+
+LabelledNumbers = _labelled_numbers()
+
+TF = "/tf"
+SCENE = "/scene"
+MESH = "/robot/mesh"
+COM = "/robot/com"
+STATE = "/robot/state"
+SURROGATE = "/surrogate/com"
+LASER = "/laser"
+CONTACTS = "/contacts"
+TARGET_SHAPE = "/control/target_shape"
+GAIT = "/control/gait"
+VALUES = "/planner/values"
+REWARD = "/planner/reward"
+
+CHANNELS: dict[str, Any] = {
+    TF: FrameTransforms,
+    SCENE: SceneUpdate,
+    MESH: SceneUpdate,
+    COM: PoseInFrame,
+    SURROGATE: PoseInFrame,
+    LASER: LaserScan,
+    STATE: LabelledNumbers,
+    CONTACTS: LabelledNumbers,
+    TARGET_SHAPE: LabelledNumbers,
+    GAIT: LabelledNumbers,
+    VALUES: LabelledNumbers,
+    REWARD: LabelledNumbers,
+}
+"""Topic -> message class of every channel."""
+
+WORLD_FRAME = "world"
+ROBOT_FRAME = "robot"
+
+IDENTITY_RECORD = "defplan"
+CONFIGURATION_RECORD = "configuration"
+VERSIONS_RECORD = "versions"
+END_RECORD = "end"
+"""Names of the metadata records; a log without the last one was not finished."""
+
+
+def state_labels(modes: int) -> list[str]:
+    """Return the names of the 13 + 2r numbers of a state, in MuJoCo's order (qpos, then qvel)."""
+    position = ["x", "y", "z", "qw", "qx", "qy", "qz", *shape_labels(modes)]
+    velocity = ["vx", "vy", "vz", "wx", "wy", "wz", *(f"dq{i + 1}" for i in range(modes))]
+    return position + velocity
+
+
+def shape_labels(modes: int) -> list[str]:
+    """Return the names of r modal coordinates."""
+    return [f"q{i + 1}" for i in range(modes)]

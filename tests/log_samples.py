@@ -1,0 +1,185 @@
+"""A small made-up body, gait, surrogate and episode for the tests of logs and reports."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from defplan_mj.body.model import Body, Material, Medium
+from defplan_mj.gait.gait import Gait
+from defplan_mj.log.poses import predict, quaternion, rotation_matrix
+from defplan_mj.log.recorder import Recorder, RunFiles
+from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.surrogate import Surrogate
+
+MODES = 2
+TIMESTEP = 0.04
+STEPS_PER_CYCLE = 11
+
+
+def sample_body() -> Body:
+    """Return a body of eight vertices with the right shapes of arrays; it draws, it does not swim."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
+    tetrahedra = np.array([[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7]])
+    tetrahedra = np.vstack([tetrahedra, [[0, 5, 4, 7]]])
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    faces = np.array([t for q in quads for t in (q[:3], [q[0], *q[2:]])])
+    rng = np.random.default_rng(0)
+    modes = np.zeros((8, 3, MODES))
+    modes[:, 1, 0] = corners[:, 0] ** 2
+    modes[:, 2, 1] = corners[:, 0] ** 2
+    basis = modes.copy()
+    points = np.zeros((4, 3, MODES + 1))
+    return Body(
+        name="bar",
+        material=Material(),
+        medium=Medium(),
+        vertices=corners,
+        tetrahedra=tetrahedra,
+        faces=faces,
+        vertex_mass=np.full(8, 5.0),
+        modes=modes,
+        frequencies=np.array([1.5, 2.5]),
+        stiffness=np.array([2.0, 3.0]),
+        amplitude=np.array([1.5, 1.5]),
+        basis=basis,
+        sampled=np.array([0, 3]),
+        feature_map=rng.normal(size=(2, 9, MODES)),
+        feature_weights=rng.normal(size=(MODES, 18)),
+        moments=np.zeros((MODES + 1, MODES + 1, 3, 3)),
+        patch_points=points,
+        patch_tangents=np.stack([points, points]),
+        patch_areas=np.ones(4),
+        surface=np.arange(8),
+        source={"mesh": "bar.stl", "vertices": 8, "quality_min": 0.31, "quality_mean": 0.88},
+    )
+
+
+def sample_gait(body: Body) -> Gait:
+    """Return three tasks of two wavelets each."""
+    rng = np.random.default_rng(1)
+    return Gait(
+        body_hash=body.hash,
+        task_names=("forward", "left", "right"),
+        timestep=TIMESTEP,
+        steps_per_cycle=STEPS_PER_CYCLE,
+        alpha=rng.normal(size=(3, 5, MODES)) * 0.3,
+        beta=rng.uniform(0, 1, (3, 5, MODES)),
+        mu=rng.uniform(0, 6, (5, MODES)),
+        amplitude=body.amplitude,
+        meta={"solver": "shooting", "seed": 0, "seconds": 12.5, "objective": [3.0, 1.0, -2.0]},
+    )
+
+
+def turn(angle: float) -> np.ndarray:
+    """Return the rotation by an angle about z."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+
+
+def sample_surrogate(body: Body) -> Surrogate:
+    """Return a surrogate: forward 0.7 m, and two turns of 0.6 rad."""
+    return Surrogate(
+        body_hash=body.hash,
+        gait_hash="0" * 64,
+        task_names=("forward", "left", "right"),
+        rotations=np.array([turn(0.0), turn(0.6), turn(-0.6)]),
+        translations=np.array([[0.7, 0, 0], [0.4, 0.1, 0], [0.4, -0.1, 0]]),
+        cycle_seconds=STEPS_PER_CYCLE * TIMESTEP,
+        pairs=1000,
+        rotation_mean=np.array([0.02, 0.6, 0.6]),
+        rotation_sd=np.array([0.01, 0.03, 0.03]),
+        translation_mean=np.array([0.7, 0.41, 0.41]),
+        translation_sd=np.array([0.02, 0.02, 0.02]),
+        radius=0.7,
+    )
+
+
+def sample_scene(speed: float = 0.0, obstacles: int = 3) -> Scene:
+    """Return a target ahead and obstacles beside the way."""
+    centres = np.array([[2.0 + 2 * i, (-1) ** i * 1.5, 0.0] for i in range(obstacles)])
+    return Scene(
+        target=np.array([9.0, 0.5, 0.0]),
+        centres=centres.reshape(-1, 3),
+        radii=np.full(obstacles, 0.5),
+        velocities=np.full((obstacles, 3), [0.0, speed, 0.0]),
+    )
+
+
+def surface_of(body: Body):
+    """Return x -> world points of the surface, bent by the linear modes."""
+
+    def surface(x: np.ndarray) -> np.ndarray:
+        q = x[7 : 7 + MODES]
+        local = body.vertices + body.modes @ q
+        return x[:3] + local[body.surface] @ rotation_matrix(x[3:7]).T
+
+    return surface
+
+
+def state(pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return a state of that pose; what else it says is random, so every bit of it counts."""
+    shape, velocity = rng.normal(size=MODES), rng.normal(size=6 + MODES)
+    return np.concatenate([pose, shape, velocity])
+
+
+def record_episode(
+    path: Path,
+    cycles: int = 8,
+    error: tuple[float, float] = (0.0, 0.0),
+    outcome: str | None = "success",
+    scene: Scene | None = None,
+    files: RunFiles | None = None,
+) -> dict[str, np.ndarray]:
+    """Log a made-up episode: every cycle is the surrogate's motion and then a known error.
+
+    Args:
+        error: metres the truth ends left of the prediction, and radians it heads more to the left.
+        outcome: None leaves the log without an end.
+
+    Returns:
+        what was logged: time, states, target_shapes, clearance, gait_index, values, reward, laser.
+    """
+    if files is None:
+        body = sample_body()
+        files = RunFiles.of(body, sample_gait(body), sample_surrogate(body))
+    rng = np.random.default_rng(7)
+    table = files.gait.table()
+    pose = np.array([0, 0, 0, 1.0, 0, 0, 0])
+    x = state(pose, rng)
+    kept: dict[str, list] = {k: [] for k in ("time", "states", "target_shapes", "clearance")}
+    kept |= {k: [] for k in ("gait_index", "values", "reward", "laser")}
+    kept["time"].append(0.0)
+    kept["states"].append(x)
+    with Recorder(path, files, surface=surface_of(files.body)) as recorder:
+        context = {"task": "bar-swim", "seed": 3, "planner": "greedy", "shield": True}
+        context |= {"timestep": TIMESTEP, "state": x, "episode": 4}
+        recorder.begin(context, scene or sample_scene())
+        step = 0
+        for cycle in range(cycles):
+            start, time = x, step * TIMESTEP
+            gait_index = int(rng.integers(3))
+            goal = predict(files.surrogate, start[:7], gait_index)
+            frame = rotation_matrix(goal[3:])
+            goal[:3] += frame @ [0, error[0], 0]
+            goal[3:] = quaternion(frame @ turn(error[1]))
+            for i in range(STEPS_PER_CYCLE):
+                step += 1
+                part = (i + 1) / STEPS_PER_CYCLE
+                middle = np.append(start[:3] + part * (goal[:3] - start[:3]), goal[3:])
+                x = state(goal if part == 1 else middle, rng)
+                shape, clearance = table[gait_index, i], rng.uniform(0.1, 2)
+                recorder.step(step * TIMESTEP, x, shape, clearance)
+                kept["time"].append(step * TIMESTEP)
+                for name, value in (("states", x), ("target_shapes", shape)):
+                    kept[name].append(value)
+                kept["clearance"].append(clearance)
+            values, reward, laser = rng.normal(size=3), rng.normal(), rng.uniform(1, 10, 64)
+            recorder.cycle(cycle, time, start, gait_index, values, reward, laser)
+            for name, value in (("values", values), ("reward", reward), ("laser", laser)):
+                kept[name].append(value)
+            kept["gait_index"].append(gait_index)
+        if outcome is not None:
+            recorder.end(outcome, "the target was reached")
+    return {name: np.array(value) for name, value in kept.items()}
