@@ -8,15 +8,17 @@ from defplan_mj.planning.surrogate import Surrogate
 
 
 def rotation_matrix(quaternion: np.ndarray) -> np.ndarray:
-    """Return (..., 3, 3) rotation matrices of (..., 4) quaternions w x y z (normalised here)."""
+    """Return the (..., 3, 3) rotation matrices of (..., 4) quaternions w x y z (normalised here)."""
     q = np.asarray(quaternion, float)
-    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, -1) for row in rows], -2)
+    w, x, y, z = (q / np.sqrt((q * q).sum(-1, keepdims=True))).T
+    matrix = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return matrix.T
 
 
 def quaternion(matrix: np.ndarray) -> np.ndarray:

@@ -71,8 +71,8 @@ class RunFiles:
 
     @cached_property
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of the body's surface points to draw, and their faces (at most 800)."""
-        vertices, faces = decimate(self.body.vertices, self.body.faces, 800)
+        """Rows of the body's surface points to draw, and their faces (at most 600)."""
+        vertices, faces = decimate(self.body.vertices, self.body.faces, 600)
         return np.searchsorted(self.body.surface, vertices), faces
 
 
@@ -100,7 +100,7 @@ class Recorder:
         self.path = Path(path)
         self.partial = self.path.with_suffix(f".partial{self.path.suffix}")
         self._files = files
-        self._surface = surface
+        self._given_surface = surface
         self._mesh_every = mesh_every
         self._writer: Writer | None = None
 
@@ -121,7 +121,9 @@ class Recorder:
         modes = self._files.body.n_modes
         if x.shape != (13 + 2 * modes,):
             raise ValueError(f"state has shape {x.shape}, the body's is ({13 + 2 * modes},)")
-        if self._surface is None:
+        if self._given_surface is not None:
+            self._surface = self._given_surface
+        else:
             # here, not above: reading a log needs no compiled kernel
             from defplan_mj.dynamics.reduced import ReducedDynamics
 
@@ -165,8 +167,9 @@ class Recorder:
             topic: self._writer.register_channel(topic, "protobuf", kinds[kind])
             for topic, kind in schemas.CHANNELS.items()
         }
-        self._write(schemas.SCENE, time, scene_update(scene, _ns(time)))
-        self._write_state(time, x)
+        now = _ns(time)
+        self._write(schemas.SCENE, now, scene_update(scene, now))
+        self._write_state(now, wire.timestamp(now), x)
 
     def step(self, time: float, x: np.ndarray, target_shape: np.ndarray, clearance: float) -> None:
         """Log one physics step.
@@ -180,12 +183,14 @@ class Recorder:
         if time - self._chunk_time >= CHUNK_SECONDS:
             self._flush()
             self._chunk_time = time
+        now = _ns(time)
+        stamp = wire.timestamp(now)
         self._steps += 1
         self._cycle_times.append(time)
         x = self._last = np.array(x, float)
-        self._write_state(time, x)
-        self._numbers(schemas.TARGET_SHAPE, time, target_shape)
-        self._numbers(schemas.CONTACTS, time, np.array([clearance, clearance < 0]))
+        self._write_state(now, stamp, x)
+        self._numbers(schemas.TARGET_SHAPE, now, stamp, target_shape)
+        self._numbers(schemas.CONTACTS, now, stamp, np.array([clearance, clearance < 0]))
 
     def cycle(
         self,
@@ -213,20 +218,23 @@ class Recorder:
         """
         if not np.array_equal(x, self._start):
             raise ValueError(f"cycle {index}: x is not the state at the cycle's start")
-        times, end = self._cycle_times, self._cycle_times[-1]
-        for number, at in enumerate(times[:-1]):
-            phase = number / (len(times) - 1)
-            self._numbers(schemas.GAIT, at, np.array([gait_index, phase, index], float))
-        self._write(schemas.LASER, time, laser_scan(x, laser, _ns(time)))
-        self._numbers(schemas.VALUES, time, values)
-        self._numbers(schemas.REWARD, end, np.array([reward], float))
+        moments = [_ns(at) for at in self._cycle_times]
+        for number, at in enumerate(moments[:-1]):
+            phase = number / (len(moments) - 1)
+            where = np.array([gait_index, phase, index], float)
+            self._numbers(schemas.GAIT, at, wire.timestamp(at), where)
+        start, end = _ns(time), moments[-1]
+        stamp = wire.timestamp(end)
+        self._write(schemas.LASER, start, laser_scan(x, laser, start))
+        self._numbers(schemas.VALUES, start, wire.timestamp(start), np.asarray(values, float))
+        self._numbers(schemas.REWARD, end, stamp, np.array([reward], float))
         if surrogate_pose is None and self._files.surrogate is not None:
             surrogate_pose = predict(self._files.surrogate, x[:7], gait_index)
         if surrogate_pose is not None:
-            message = wire.pose_in_frame(_ns(end), self._frame, surrogate_pose)
+            message = wire.pose_in_frame(stamp, self._frame, surrogate_pose.tolist())
             self._write(schemas.SURROGATE, end, message)
         self._cycles += 1
-        self._cycle_times = [end]
+        self._cycle_times = self._cycle_times[-1:]
         self._start = self._last
 
     def end(self, outcome: str, reason: str = "") -> None:
@@ -288,29 +296,27 @@ class Recorder:
             self._rows, faces = self._files.mesh
             self._mesh = wire.TriangleMesh("robot", schemas.ROBOT_FRAME, faces, _MESH_COLOUR)
 
-    def _write_state(self, time: float, x: np.ndarray) -> None:
+    def _write_state(self, now: int, stamp: bytes, x: np.ndarray) -> None:
         """Write the state and what is drawn of it: frame, centre of mass, surface, moving obstacles."""
-        now = _ns(time)
-        self._numbers(schemas.STATE, time, x)
-        self._write(schemas.TF, time, wire.frame_transform(now, self._frames, x))
-        self._write(schemas.COM, time, wire.pose_in_frame(now, self._frame, x))
+        pose = x[:7].tolist()
+        self._numbers(schemas.STATE, now, stamp, x)
+        self._write(schemas.TF, now, wire.frame_transform(stamp, self._frames, pose))
+        self._write(schemas.COM, now, wire.pose_in_frame(stamp, self._frame, pose))
         if not self._mesh_every or self._steps % self._mesh_every:
             return
-        world = self._surface(x)[self._rows]
-        local = (world - x[:3]) @ rotation_matrix(x[3:7])
-        points = np.rint(local / _MESH_GRID) * _MESH_GRID
-        self._write(schemas.MESH, time, self._mesh.encode(now, points))
+        points = (self._surface(x)[self._rows] - x[:3]) @ rotation_matrix(x[3:7])
+        points = np.rint(points * (1 / _MESH_GRID)) * _MESH_GRID
+        self._write(schemas.MESH, now, self._mesh.encode(stamp, points))
         if self._moving and self._steps:
-            self._write(schemas.SCENE, time, scene_update(self._scene, now))
+            self._write(schemas.SCENE, now, scene_update(self._scene, now))
 
-    def _numbers(self, topic: str, time: float, values: np.ndarray) -> None:
-        message = wire.labelled_numbers(_ns(time), self._labels[topic], values)
-        self._write(topic, time, message)
+    def _numbers(self, topic: str, now: int, stamp: bytes, values: np.ndarray) -> None:
+        message = wire.labelled_numbers(stamp, self._labels[topic], values)
+        self._write(topic, now, message)
 
-    def _write(self, topic: str, time: float, message: bytes) -> None:
+    def _write(self, topic: str, now: int, message: bytes) -> None:
         assert self._writer is not None, "begin was not called, or the log is closed already"
-        now = _ns(time)
-        # `sequence` counts physics steps, so that messages can be told apart without their times
+        # `sequence` counts physics steps: it joins messages of one step whatever their times say
         self._writer.add_message(self._channels[topic], now, message, now, self._steps)
 
     def _flush(self) -> None:

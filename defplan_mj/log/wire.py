@@ -11,13 +11,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-_POSITION = struct.Struct("<BdBdBd")
-_ORIENTATION = struct.Struct("<BdBdBdBd")
-_DOUBLE, _BYTES, _FIXED32 = 1, 2, 5  # wire types
+_THREE = struct.Struct("<BdBdBd")
+_FOUR = struct.Struct("<BdBdBdBd")
+_POINT = np.dtype(
+    {"names": ["x", "y", "z"], "formats": ["<f8"] * 3, "offsets": [3, 12, 21], "itemsize": 29}
+)  # a Point3 in a list: tag, length, then three tagged doubles
+_SMALL = [bytes([i]) for i in range(128)]
+_BYTES = 2  # the wire type of everything with a length
 
 
 def varint(value: int) -> bytes:
     """Return an unsigned integer in protobuf's base-128 form."""
+    if value < 128:
+        return _SMALL[value]
     out = bytearray()
     while value > 127:
         out.append(value & 127 | 128)
@@ -45,29 +51,26 @@ def timestamp(nanoseconds: int) -> bytes:
 def position(number: int, xyz: Sequence[float]) -> bytes:
     """Return a Vector3 or Point3 field."""
     x, y, z = xyz
-    return field(number, _POSITION.pack(0x09, x, 0x11, y, 0x19, z))
+    return field(number, _THREE.pack(0x09, x, 0x11, y, 0x19, z))
 
 
 def orientation(number: int, wxyz: Sequence[float]) -> bytes:
     """Return a Quaternion field (foxglove orders x y z w) from MuJoCo's w x y z."""
     w, x, y, z = wxyz
-    return field(number, _ORIENTATION.pack(0x09, x, 0x11, y, 0x19, z, 0x21, w))
+    return field(number, _FOUR.pack(0x09, x, 0x11, y, 0x19, z, 0x21, w))
 
 
-def pose(number: int, pose7: Sequence[float]) -> bytes:
-    """Return a Pose field from position and quaternion (w x y z)."""
-    return field(number, position(1, pose7[:3]) + orientation(2, pose7[3:7]))
+def pose_in_frame(stamp: bytes, frame: bytes, pose: Sequence[float]) -> bytes:
+    """Return a foxglove.PoseInFrame of position and quaternion (w x y z).
+
+    `stamp` is `timestamp(...)`, `frame` is `text(2, name)`.
+    """
+    return stamp + frame + field(3, position(1, pose[:3]) + orientation(2, pose[3:7]))
 
 
-def pose_in_frame(nanoseconds: int, frame: bytes, pose7: Sequence[float]) -> bytes:
-    """Return a foxglove.PoseInFrame; `frame` is `text(2, name)`."""
-    return timestamp(nanoseconds) + frame + pose(3, pose7)
-
-
-def frame_transform(nanoseconds: int, frames: bytes, pose7: Sequence[float]) -> bytes:
+def frame_transform(stamp: bytes, frames: bytes, pose: Sequence[float]) -> bytes:
     """Return a foxglove.FrameTransforms of one; `frames` is `text(2, parent) + text(3, child)`."""
-    motion = position(4, pose7[:3]) + orientation(5, pose7[3:7])
-    return field(1, timestamp(nanoseconds) + frames + motion)
+    return field(1, stamp + frames + position(4, pose[:3]) + orientation(5, pose[3:7]))
 
 
 def labels(names: Sequence[str]) -> bytes:
@@ -75,9 +78,9 @@ def labels(names: Sequence[str]) -> bytes:
     return b"".join(text(2, name) for name in names)
 
 
-def labelled_numbers(nanoseconds: int, names: bytes, values: np.ndarray) -> bytes:
+def labelled_numbers(stamp: bytes, names: bytes, values: np.ndarray) -> bytes:
     """Return a defplan.LabelledNumbers; `names` is `labels(...)`, the numbers are kept to the bit."""
-    return timestamp(nanoseconds) + names + field(3, np.asarray(values, "<f8").tobytes())
+    return stamp + names + field(3, values.astype("<f8", copy=False).tobytes())
 
 
 class TriangleMesh:
@@ -92,21 +95,19 @@ class TriangleMesh:
 
     def __init__(self, entity: str, frame: str, faces: np.ndarray, colour: Sequence[float]) -> None:
         n = int(faces.max()) + 1 if len(faces) else 0
-        # every point is 29 bytes: tag, length, then three tagged doubles
-        rows = np.zeros((n, 29), np.uint8)
+        rows = np.zeros((n, _POINT.itemsize), np.uint8)
         rows[:, [0, 1, 2, 11, 20]] = 2 << 3 | _BYTES, 27, 0x09, 0x11, 0x19
         self._rows = rows
+        self._points = rows.view(_POINT)[:, 0]
         r, g, b, a = colour
         still = position(1, (0, 0, 0)) + orientation(2, (1, 0, 0, 0))
         self._head = field(1, still)
-        packed = _ORIENTATION.pack(0x09, r, 0x11, g, 0x19, b, 0x21, a)
+        packed = _FOUR.pack(0x09, r, 0x11, g, 0x19, b, 0x21, a)
         self._tail = field(3, packed) + field(5, np.asarray(faces, "<u4").tobytes())
         self._names = text(2, frame) + text(3, entity) + b"\x28\x01"  # frame_locked
 
-    def encode(self, nanoseconds: int, points: np.ndarray) -> bytes:
+    def encode(self, stamp: bytes, points: np.ndarray) -> bytes:
         """Return the message with the mesh's `points` (n, 3)."""
-        rows = self._rows
-        raw = np.ascontiguousarray(points, "<f8").view(np.uint8).reshape(len(rows), 3, 8)
-        rows[:, 3:11], rows[:, 12:20], rows[:, 21:29] = raw[:, 0], raw[:, 1], raw[:, 2]
-        triangles = field(12, self._head + rows.tobytes() + self._tail)
-        return field(2, timestamp(nanoseconds) + self._names + triangles)
+        self._points["x"], self._points["y"], self._points["z"] = points.T
+        triangles = field(12, self._head + self._rows.tobytes() + self._tail)
+        return field(2, stamp + self._names + triangles)
