@@ -1,0 +1,141 @@
+/* Signed distances of points to simple solids, and the smallest one of a deformed surface. */
+#include "internal.h"
+
+/* Nearest point on an ellipsoid with semi-axes a, first octant: bisection on the Lagrange
+ * multiplier, sum (a_i p_i / (t + a_i^2))^2 = 1 (Eberly, Distance from a Point to an Ellipsoid). */
+static void ellipsoid_nearest(const double* a, const double* p, double* out) {
+  double low = 0, high = 0, least = fmin(a[0], fmin(a[1], a[2]));
+  low = -least * least;
+  for (int i = 0; i < 3; i++) low = fmax(low, a[i] * p[i] - a[i] * a[i]);
+  high = sqrt(a[0] * a[0] * p[0] * p[0] + a[1] * a[1] * p[1] * p[1] + a[2] * a[2] * p[2] * p[2]) - least * least;
+  for (int k = 0; k < 120 && high > low; k++) {
+    double t = .5 * (low + high), s = 0;
+    if (t == low || t == high) break;
+    for (int i = 0; i < 3; i++) {
+      double d = t + a[i] * a[i], e = d > 0 ? a[i] * p[i] / d : 0;
+      s += e * e;
+    }
+    if (s > 1) low = t; else high = t;
+  }
+  double t = .5 * (low + high), s = 0;
+  int flat = -1;
+  for (int i = 0; i < 3; i++) {
+    double d = t + a[i] * a[i];
+    if (d <= 1e-14 * a[i] * a[i] || (p[i] == 0 && a[i] == least && t < 0 && fabs(d) < 1e-9 * a[i] * a[i])) {
+      out[i] = 0, flat = i;
+    } else {
+      out[i] = a[i] * a[i] * p[i] / d;
+    }
+    s += out[i] * out[i] / (a[i] * a[i]);
+  }
+  if (flat >= 0 && s < 1) out[flat] = a[flat] * sqrt(1 - s); /* on the axis inside: the side is free */
+}
+
+double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]) {
+  double d[3] = {p[0] - g->pos[0], p[1] - g->pos[1], p[2] - g->pos[2]}, l[3], n[3] = {0, 0, 1}, dist;
+  mul_mtv(g->mat, d, l);
+  const double* size = g->size;
+  switch (g->type) {
+    case DP_PLANE:
+      dist = l[2];
+      break;
+    case DP_SPHERE:
+    case DP_CAPSULE: {
+      double z = g->type == DP_SPHERE ? 0 : fmax(-size[1], fmin(size[1], l[2]));
+      double v[3] = {l[0], l[1], l[2] - z}, length = sqrt(dot3(v, v));
+      if (length > 0)
+        for (int i = 0; i < 3; i++) n[i] = v[i] / length;
+      dist = length - size[0];
+      break;
+    }
+    case DP_CYLINDER: {
+      double rho = sqrt(l[0] * l[0] + l[1] * l[1]), side = rho - size[0], cap = fabs(l[2]) - size[1];
+      double c = rho > 0 ? l[0] / rho : 1, s = rho > 0 ? l[1] / rho : 0, up = l[2] < 0 ? -1 : 1;
+      if (side > 0 && cap > 0) {
+        dist = sqrt(side * side + cap * cap);
+        n[0] = c * side / dist, n[1] = s * side / dist, n[2] = up * cap / dist;
+      } else if (side > cap) {
+        dist = side, n[0] = c, n[1] = s, n[2] = 0;
+      } else {
+        dist = cap, n[0] = n[1] = 0, n[2] = up;
+      }
+      break;
+    }
+    case DP_BOX: {
+      double q[3], out[3], outside = 0;
+      int nearest = 0;
+      for (int i = 0; i < 3; i++) {
+        q[i] = fabs(l[i]) - size[i], out[i] = fmax(q[i], 0), outside += out[i] * out[i];
+        if (q[i] > q[nearest]) nearest = i;
+      }
+      if (outside > 0) {
+        dist = sqrt(outside);
+        for (int i = 0; i < 3; i++) n[i] = (l[i] < 0 ? -1 : 1) * out[i] / dist;
+      } else {
+        dist = q[nearest];
+        for (int i = 0; i < 3; i++) n[i] = i == nearest ? (l[i] < 0 ? -1 : 1) : 0;
+      }
+      break;
+    }
+    case DP_ELLIPSOID: {
+      double a[3] = {fabs(l[0]), fabs(l[1]), fabs(l[2])}, near[3], v[3], inside = -1;
+      ellipsoid_nearest(size, a, near);
+      for (int i = 0; i < 3; i++) v[i] = a[i] - near[i], inside += a[i] * a[i] / (size[i] * size[i]);
+      double length = sqrt(dot3(v, v)), sum = 0;
+      for (int i = 0; i < 3; i++) n[i] = (l[i] < 0 ? -1 : 1) * near[i] / (size[i] * size[i]), sum += n[i] * n[i];
+      for (int i = 0; i < 3; i++) n[i] /= sqrt(sum);
+      dist = inside < 0 ? -length : length;
+      break;
+    }
+    default:
+      return INFINITY;
+  }
+  if (normal) mul_mv(g->mat, n, normal);
+  return dist;
+}
+
+double dp_clearance(const double* blob, const double* qpos, int n_geom, const dp_geom* geoms, double cutoff,
+                    int* geom, int* point) {
+  Body b;
+  double best = cutoff;
+  if (geom) *geom = -1;
+  if (point) *point = -1;
+  if (body_view(&b, blob, (size_t)blob[2])) return best;
+  /* the surface stays within 1.5 times its largest rest distance from the centre of mass */
+  const double reach = 1.5 * b.radius;
+  int near = 0;
+  for (int i = 0; i < n_geom && !near; i++) near = dp_geom_distance(geoms + i, qpos, NULL) < reach + cutoff;
+  if (!near) return best;
+  double points[3 * (b.n_surface > 0 ? b.n_surface : 1)];
+  dp_surface(blob, qpos, points);
+  for (int i = 0; i < n_geom; i++) {
+    if (!(dp_geom_distance(geoms + i, qpos, NULL) < reach + best)) continue;
+    for (int s = 0; s < b.n_surface; s++) {
+      double d = dp_geom_distance(geoms + i, points + 3 * s, NULL);
+      if (d < best) {
+        best = d;
+        if (geom) *geom = i;
+        if (point) *point = s;
+      }
+    }
+  }
+  return best;
+}
+
+/* --- handles: the table of bodies for callers that can pass numbers only */
+enum { N_HANDLES = 256 };
+static const double* table[N_HANDLES][2];
+
+int dp_register(const double* blob, const double* par) {
+  for (int i = 0; i < N_HANDLES; i++)
+    if (!table[i][0]) {
+      table[i][1] = par, table[i][0] = blob;
+      return i;
+    }
+  return -1;
+}
+void dp_unregister(int handle) {
+  if (handle >= 0 && handle < N_HANDLES) table[handle][0] = table[handle][1] = NULL;
+}
+const double* dp_handle_blob(int handle) { return handle >= 0 && handle < N_HANDLES ? table[handle][0] : NULL; }
+const double* dp_handle_par(int handle) { return handle >= 0 && handle < N_HANDLES ? table[handle][1] : NULL; }

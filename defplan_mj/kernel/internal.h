@@ -1,0 +1,125 @@
+/* What the kernel's files share: the body as a view of its blob, small 3-vector algebra, the
+ * quantities of one configuration. Arrays over basis functions (index 0 is the rest shape) are
+ * padded to kp, arrays over drag patches to np, modal arrays to rp: multiples of 8, so that the
+ * compiler fills whole vectors without a remainder. */
+#ifndef DEFPLAN_INTERNAL_H
+#define DEFPLAN_INTERNAL_H
+#include <math.h>
+#include <string.h>
+
+#include "kernel.h"
+
+#define BLOB_MAGIC 20181018.0
+#define BLOB_VERSION 1.0
+enum { HEADER = 16, PAD = 8 };
+
+typedef struct {
+  int r, k, n_samples, n_patches, n_surface; /* true sizes */
+  int rp, kp, nf, np, ns;                    /* padded: modes, basis + 1, features, patches, surface */
+  double mass, radius;                       /* kg; bound of |y| at rest, m */
+  const double *stiffness;                   /* rp */
+  const double *features;                    /* (9 n_samples) x rp: q -> skew 3, strain 6 */
+  const double *weights_t;                   /* nf x kp: transposed weights, column 0 is zero */
+  const double *weights;                     /* kp x nf */
+  const double *moments;                     /* kp(b) x 9(i,j) x kp(a): S_ab */
+  const double *trace;                       /* kp: tr S_0a */
+  const double *points;                      /* kp x 3 x np: patch centres */
+  const double *tangent1, *tangent2;         /* kp x 3 x np */
+  const double *areas;                       /* np */
+  const double *surface;                     /* kp x 3 x ns */
+} Body;
+
+int body_view(Body* b, const double* blob, size_t n);
+
+/* One configuration: c, orientation, q, and what follows from q. */
+typedef struct {
+  double c[3], quat[4], R[9];
+  const double* q;
+  double *zeta;  /* kp: (1, z) */
+  double *dz;    /* rp x kp: dz/dq, row per mode */
+} Config;
+
+/* --- 3-vectors and rotations, matrices row-major */
+static inline double dot3(const double* a, const double* b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+static inline void cross3(const double* a, const double* b, double* out) {
+  double x = a[1] * b[2] - a[2] * b[1], y = a[2] * b[0] - a[0] * b[2];
+  out[2] = a[0] * b[1] - a[1] * b[0], out[0] = x, out[1] = y;
+}
+static inline void mul_mv(const double* A, const double* v, double* out) {
+  double x = dot3(A, v), y = dot3(A + 3, v), z = dot3(A + 6, v);
+  out[0] = x, out[1] = y, out[2] = z;
+}
+static inline void mul_mtv(const double* A, const double* v, double* out) {
+  double x = A[0] * v[0] + A[3] * v[1] + A[6] * v[2], y = A[1] * v[0] + A[4] * v[1] + A[7] * v[2];
+  double z = A[2] * v[0] + A[5] * v[1] + A[8] * v[2];
+  out[0] = x, out[1] = y, out[2] = z;
+}
+static inline void skew_mul(const double* w, const double* A, double* out) { /* [w] A */
+  for (int j = 0; j < 3; j++) {
+    double x = A[j], y = A[3 + j], z = A[6 + j];
+    out[j] = w[1] * z - w[2] * y, out[3 + j] = w[2] * x - w[0] * z, out[6 + j] = w[0] * y - w[1] * x;
+  }
+}
+/* d with <[d], A> = sum_ij [d]_ij A_ij for all [d] */
+static inline void vee(const double* A, double* out) {
+  out[0] = A[7] - A[5], out[1] = A[2] - A[6], out[2] = A[3] - A[1];
+}
+static inline void quat_mul(const double* a, const double* b, double* out) {
+  double w = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3];
+  double x = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2];
+  double y = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1];
+  double z = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0];
+  out[0] = w, out[1] = x, out[2] = y, out[3] = z;
+}
+static inline void quat_normalize(double* q) {
+  double s = 1 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  for (int i = 0; i < 4; i++) q[i] *= s;
+}
+static inline void quat_exp(const double* w, double* q) { /* rotation vector -> quaternion */
+  double t2 = dot3(w, w), t = sqrt(t2), s = t2 < 1e-8 ? .5 - t2 / 48 : sin(.5 * t) / t;
+  q[0] = t2 < 1e-8 ? 1 - t2 / 8 : cos(.5 * t);
+  for (int i = 0; i < 3; i++) q[i + 1] = s * w[i];
+}
+static inline void quat_log(const double* q, double* w) { /* shortest rotation vector */
+  double sign = q[0] < 0 ? -1 : 1, v2 = dot3(q + 1, q + 1), v = sqrt(v2), c = sign * q[0];
+  double s = v2 < 1e-8 ? 2 / c * (1 - v2 / (3 * c * c)) : 2 * atan2(v, c) / v;
+  for (int i = 0; i < 3; i++) w[i] = sign * s * q[i + 1];
+}
+static inline void quat_matrix(const double* q, double* R) {
+  double w = q[0], x = q[1], y = q[2], z = q[3];
+  R[0] = 1 - 2 * (y * y + z * z), R[1] = 2 * (x * y - w * z), R[2] = 2 * (x * z + w * y);
+  R[3] = 2 * (x * y + w * z), R[4] = 1 - 2 * (x * x + z * z), R[5] = 2 * (y * z - w * x);
+  R[6] = 2 * (x * z - w * y), R[7] = 2 * (y * z + w * x), R[8] = 1 - 2 * (x * x + y * y);
+}
+/* Left Jacobian of SO(3) at w, d exp(w + dw) = [J dw] exp(w); or its inverse. */
+static inline void so3_left_jacobian(const double* w, int inverse, double* J) {
+  double t2 = dot3(w, w), t = sqrt(t2), a, b;
+  if (inverse) {
+    a = -.5;
+    b = t2 < 1e-4 ? 1. / 12 + t2 / 720 : (1 - .5 * t * cos(.5 * t) / sin(.5 * t)) / t2;
+  } else {
+    a = t2 < 1e-4 ? .5 - t2 / 24 : (1 - cos(t)) / t2;
+    b = t2 < 1e-4 ? 1. / 6 - t2 / 120 : (t - sin(t)) / (t2 * t);
+  }
+  double W[9] = {0, -w[2], w[1], w[2], 0, -w[0], -w[1], w[0], 0};
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++)
+      J[3 * i + j] = (i == j ? 1 - b * t2 : 0) + a * W[3 * i + j] + b * w[i] * w[j];
+}
+
+/* --- rotation-strain coordinates (kinematics.c) */
+/* zeta(q), and dz (rp x kp) with its feature derivatives if dz is not NULL. `scratch` holds
+ * kinematics_scratch(b) doubles and is read again by kinematics_curvature. */
+size_t kinematics_scratch(const Body* b);
+void kinematics(const Body* b, const double* q, double* zeta, double* dz, double* scratch);
+/* hess (rp x rp) += sum_a grad[a] d2 zeta_a / dq2, after kinematics with dz at the same q */
+void kinematics_curvature(const Body* b, const double* grad, double* scratch, double* hess);
+/* out (9 x kp): P_a(zeta)_ij = sum_b S_ab,ij zeta_b */
+void moments_apply(const Body* b, const double* zeta, double* out);
+/* out (3 x n): sum_a zeta_a field[a][i][s] for a field kp x 3 x n */
+void field_apply(const double* field, const double* zeta, int count, int n, double* out);
+/* out[a] += sum_i,s field[a][i][s] v[i][s], a < count */
+void field_transpose(const double* field, const double* v, int count, int n, double* out);
+#endif

@@ -1,0 +1,63 @@
+"""Load the compiled kernel and declare its functions (kernel.h) to ctypes; ctypes releases the GIL."""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import c_double, c_int, c_long, c_size_t
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from defplan_mj.errors import DefplanError
+
+PATH = Path(__file__).with_name("libdefplan_kernel.so")
+
+
+class Info(ctypes.Structure):
+    """dp_info: Newton iterations, failure flag, size of the last Newton step."""
+
+    _fields_ = [("iterations", c_int), ("failed", c_int), ("residual", c_double)]
+
+
+class Geom(ctypes.Structure):
+    """dp_geom: MuJoCo's geom type, size (3), position (3), orientation (9, row-major)."""
+
+    _fields_ = [("type", c_int), ("size", c_double * 3), ("pos", c_double * 3), ("mat", c_double * 9)]
+
+
+_array = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
+_pointer = ctypes.POINTER
+
+
+@cache
+def kernel() -> ctypes.CDLL:
+    """Return the kernel's library.
+
+    Raises:
+        DefplanError: it was not built.
+    """
+    try:
+        lib = ctypes.CDLL(str(PATH))
+    except OSError as error:
+        raise DefplanError(f"the compiled kernel {PATH} is missing: reinstall defplan with a C compiler") from error
+    a, p = _array, _pointer
+    signatures = {
+        "dp_check": (c_int, [a, c_size_t]),
+        "dp_sizes": (None, [a, p(c_int)]),
+        "dp_step": (c_int, [a, a, a, a, a, p(Info)]),
+        "dp_rollout": (c_int, [a, a, c_int, a, a, p(c_long)]),
+        "dp_step_jac": (c_int, [a, a, a, a, a, a, a]),
+        "dp_step_adj": (c_int, [a, a, a, a, a, a, a, a]),
+        "dp_rollout_adj": (c_int, [a, a, c_int, a, a, a, a]),
+        "dp_energy": (None, [a, a, a, a]),
+        "dp_surface": (None, [a, a, a]),
+        "dp_clearance": (c_double, [a, a, c_int, p(Geom), c_double, p(c_int), p(c_int)]),
+        "dp_geom_distance": (c_double, [p(Geom), a, a]),
+        "dp_register": (c_int, [a, a]),
+        "dp_unregister": (None, [c_int]),
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(lib, name)
+        function.restype, function.argtypes = result, arguments
+    return lib

@@ -1,0 +1,82 @@
+"""Lay a Body out as the flat array of doubles that the C kernel reads (internal.h: body_view)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from defplan_mj.body.model import Body
+from defplan_mj.errors import DefplanError
+
+MAGIC, VERSION, HEADER, PAD = 20181018.0, 1.0, 16, 8
+LIMITS = {"modes": 16, "basis": 64, "samples": 40, "patches": 512}  # kernel.h
+
+
+def _pad(array: np.ndarray, axis: int) -> np.ndarray:
+    """Fill `axis` with zeros up to a multiple of 8."""
+    missing = -array.shape[axis] % PAD
+    widths = [(0, missing if i == axis else 0) for i in range(array.ndim)]
+    return np.pad(np.asarray(array, float), widths)
+
+
+def _field(points: np.ndarray) -> np.ndarray:
+    """(p, 3, k+1) -> (kp, 3, np): basis function, coordinate, point."""
+    return _pad(_pad(points.transpose(2, 1, 0), 2), 0)
+
+
+def pack_body(body: Body) -> np.ndarray:
+    """Return the kernel's blob of `body`, an array of doubles.
+
+    Raises:
+        DefplanError: the body is larger than the kernel's fixed work memory.
+    """
+    n_samples, _, r = body.feature_map.shape
+    sizes = {"modes": r, "basis": body.n_basis, "samples": n_samples, "patches": len(body.patch_areas)}
+    for name, size in sizes.items():
+        if size > LIMITS[name]:
+            raise DefplanError(f"the body has {size} {name}, the kernel takes at most {LIMITS[name]}")
+    weights = np.zeros((body.n_basis + 1, 9 * n_samples))
+    weights[1:] = body.feature_weights
+    trace = np.einsum("aii->a", body.moments[0])
+    # zeta^T tr(S) zeta with an orthonormal basis: S_00 + 2 sum_a S_0a z_a + |z|^2; entry 0 completes z_0 = 1.
+    orthonormality = np.abs(np.einsum("abii->ab", body.moments)[1:, 1:] - np.eye(body.n_basis)).max()
+    if orthonormality > 1e-9:
+        raise DefplanError(f"the displacement basis is not mass-orthonormal (error {orthonormality:.1e})")
+    trace[0] = 0.5 * (trace[0] - 1.0)
+    surface = np.concatenate([body.vertices[body.surface][:, :, None], body.basis[body.surface]], axis=2)
+    padded_weights = _pad(_pad(weights, 0), 1)
+    sections = [
+        _pad(body.stiffness, 0),
+        _pad(body.feature_map.reshape(9 * n_samples, r), 1),
+        padded_weights.T,
+        padded_weights,
+        _pad(_pad(body.moments.transpose(1, 2, 3, 0), 3), 0),  # (b, i, j, a)
+        _pad(trace, 0),
+        _field(body.patch_points),
+        _field(body.patch_tangents[0]),
+        _field(body.patch_tangents[1]),
+        _pad(body.patch_areas, 0),
+        _field(surface),
+    ]
+    header = np.zeros(HEADER)
+    radius = np.linalg.norm(body.vertices, axis=1).max()
+    header[:10] = (
+        *(MAGIC, VERSION, HEADER + sum(s.size for s in sections), r, body.n_basis, n_samples),
+        *(len(body.patch_areas), len(body.surface), body.mass, radius),
+    )
+    return np.concatenate([header, *(np.ascontiguousarray(s).ravel() for s in sections)])
+
+
+def pack_options(body: Body, timestep: float, tolerance: float = 1e-7, max_newton: int = 60) -> np.ndarray:
+    """Return the kernel's options (kernel.h: DP_*) for `body` at `timestep` (s).
+
+    `tolerance` bounds the last Newton step that is still followed by no other (m, rad, units of q);
+    convergence is quadratic, so the state is then exact to about its square.
+    """
+    medium, material = body.medium, body.material
+    return np.array(
+        [
+            *(timestep, medium.density, medium.drag_normal, medium.drag_tangential),
+            *(material.control_stiffness, material.damping, medium.gravity, medium.righting_height),
+            *(tolerance, float(max_newton)),
+        ]
+    )
