@@ -1,0 +1,79 @@
+"""The command `defplan`: parse, run one command, turn every error into one sentence and an exit code."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+
+from defplan_mj import threads
+from defplan_mj.errors import DefplanError
+
+STOPPED = 130  # what shells report for a program ended by Ctrl-C
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line `argv` (without the program's name; None: that of this process).
+
+    Returns:
+        0 if the command did what it was asked, 1 on an error, 2 on wrong usage, 130 on Ctrl-C.
+    """
+    debug = "--debug" in (sys.argv if argv is None else argv)
+    try:
+        threads.set_environment(1)  # before anything loads numpy
+        return _run(argv)
+    except SystemExit as stop:  # argparse: --help or wrong usage
+        return stop.code if isinstance(stop.code, int) else 1
+    except BaseException as error:
+        with contextlib.suppress(ValueError):  # not the main thread of an embedding program
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # one Ctrl-C is enough
+        if debug:
+            traceback.print_exc()
+        return _report(error)
+
+
+def _run(argv: Sequence[str] | None) -> int:
+    from defplan_mj.cli.console import Console
+    from defplan_mj.cli.parser import parse
+
+    arguments = parse(argv)
+    with Console(json=arguments.json, quiet=arguments.quiet) as console:
+        return arguments.command(arguments, console)
+
+
+def _report(error: BaseException) -> int:
+    """Say `error` in one sentence on stderr; return the exit code."""
+    if isinstance(error, KeyboardInterrupt):
+        _say("stopped; run it again to go on")
+        return STOPPED
+    if isinstance(error, BrokenPipeError):  # the reader, e.g. `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    if isinstance(error, DefplanError):
+        _say(str(error))
+    elif isinstance(error, OSError) and error.errno is not None:
+        _say(_system_error(error))
+    elif isinstance(error, MemoryError):
+        _say("the memory is used up: close other programs or use a smaller mesh")
+    else:
+        _say(f"this is a mistake in defplan: {type(error).__name__}: {error} (--debug shows where)")
+    return 1
+
+
+def _system_error(error: OSError) -> str:
+    """Return one sentence for an error of the operating system."""
+    where = f" ({error.filename})" if error.filename else ""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"the disk is full{where}: free some space and run it again to go on"
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return f"no permission{where}: {error.strerror}"
+    return f"{error.strerror}{where}"
+
+
+def _say(sentence: str) -> None:
+    with contextlib.suppress(OSError, ValueError):  # stderr may be closed or on the full disk
+        print(f"defplan: {sentence}", file=sys.stderr, flush=True)

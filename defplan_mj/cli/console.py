@@ -1,0 +1,149 @@
+"""What a command shows: results on stdout, progress and messages on stderr; with --json one object only."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from defplan_mj.task import Progress
+
+PLAIN_SECONDS = 5.0  # a plain progress line at most this often
+BAR_SECONDS = 0.1
+
+
+class Console:
+    """The two output streams of one command.
+
+    With `json`, everything that anybody prints to stdout, C libraries included, goes to stderr
+    while the command runs, so that stdout holds the one object of `result`.
+    """
+
+    def __init__(self, json: bool = False, quiet: bool = False) -> None:
+        self.json = json
+        self.quiet = quiet
+        self._stdout: int | None = None
+        self._redirected = contextlib.redirect_stdout(sys.stderr)
+
+    def __enter__(self) -> Console:
+        if self.json:
+            sys.stdout.flush()
+            self._stdout = os.dup(1)
+            os.dup2(2, 1)  # for C libraries
+            self._redirected.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._stdout is not None:
+            self._redirected.__exit__(kind, error, trace)
+            os.dup2(self._stdout, 1)
+            os.close(self._stdout)
+            self._stdout = None
+        elif kind is None:
+            sys.stdout.flush()  # here, where a full disk is still an error and not a warning
+
+    def say(self, text: str) -> None:
+        """Print a message for the user (stderr), unless --quiet."""
+        if not self.quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    def result(self, data: Mapping[str, Any], text: str) -> None:
+        """Print the result: `data` as one JSON object with --json, else `text`."""
+        if self._stdout is not None:
+            line = json.dumps(data, default=_plain, allow_nan=False) + "\n"
+            with open(os.dup(self._stdout), "w", encoding="utf-8") as stream:
+                stream.write(line)
+        else:
+            print(text)
+
+    @contextlib.contextmanager
+    def progress(self) -> Iterator[Progress]:
+        """Yield a `Progress`: bars on a terminal, plain lines otherwise, nothing with --quiet."""
+        if self.quiet:
+            yield lambda message, fraction: None
+        elif sys.stderr.isatty():
+            with _bars() as show:
+                yield show
+        else:
+            yield _PlainLines()
+
+
+class _PlainLines:
+    """Progress for a file or a pipe: a line when the message changes and every few seconds."""
+
+    def __init__(self) -> None:
+        self.message = ""
+        self.next = 0.0
+
+    def __call__(self, message: str, fraction: float) -> None:
+        now = time.monotonic()
+        if message == self.message and now < self.next:
+            return
+        self.message, self.next = message, now + PLAIN_SECONDS
+        print(f"{message} {100 * fraction:3.0f}%", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def _bars() -> Iterator[Progress]:
+    """Yield a Progress that shows one bar; what is done stays above it as a line."""
+    from rich.console import Console as RichConsole
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as RichProgress
+
+    columns = (
+        TextColumn("{task.description:<34}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+    )
+    with RichProgress(*columns, console=RichConsole(stderr=True)) as bars:
+        shown: dict[str, Any] = {}
+        last = 0.0
+
+        def show(message: str, fraction: float) -> None:
+            nonlocal last
+            now = time.monotonic()
+            if message in shown and fraction < 1 and now - last < BAR_SECONDS:
+                return
+            last = now
+            if message not in shown:
+                for earlier in shown.values():  # what came before is done
+                    bars.update(earlier, completed=1.0)
+                shown[message] = bars.add_task(message, total=1.0)
+            bars.update(shown[message], completed=min(max(fraction, 0.0), 1.0))
+
+        yield show
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str = "") -> str:
+    """Return a plain-text table: first column to the left, the others to the right."""
+    text = [[str(cell) for cell in row] for row in rows]
+    width = [max(len(c), *(len(r[i]) for r in text), 0) for i, c in enumerate(columns)]
+
+    def line(cells: Sequence[str]) -> str:
+        padded = [cells[0].ljust(width[0])]
+        padded += [c.rjust(w) for c, w in zip(cells[1:], width[1:], strict=True)]
+        return "  ".join(padded).rstrip()
+
+    rule = "  ".join("-" * w for w in width)
+    return "\n".join([*([title] if title else []), line(list(columns)), rule, *map(line, text)])
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold for a NumPy scalar, an array or a path."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError(f"cannot write a {type(value).__name__} as JSON")

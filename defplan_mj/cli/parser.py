@@ -1,0 +1,228 @@
+"""The grammar of the command line: commands, options, their types and their help."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from defplan_mj import __version__
+from defplan_mj.cli import commands
+
+
+class Parser(argparse.ArgumentParser):
+    """An ArgumentParser whose errors are one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Name the commands that exist and the one that was probably meant."""
+        if action.choices is not None and value not in action.choices:
+            known = [str(choice) for choice in action.choices]
+            close = difflib.get_close_matches(str(value), known, n=1)
+            guess = f", did you mean {close[0]}?" if close else ";"
+            raise argparse.ArgumentError(
+                action, f"there is no {value}{guess} choose from {', '.join(known)}"
+            )
+
+
+def parse(argv: Sequence[str] | None) -> argparse.Namespace:
+    """Parse `argv`; the function that runs the command is in `command`."""
+    return build().parse_args(argv)
+
+
+def build() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    parser = Parser(
+        prog="defplan",
+        description="Motion planning for soft robots: from a mesh file to a planned, logged and "
+        "reported run.",
+        epilog="TASK is 'domain-task', e.g. fish-swim; `defplan list` names all that are installed.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"defplan {__version__}")
+    subparsers = parser.add_subparsers(
+        title="commands", metavar="COMMAND", required=True, parser_class=Parser
+    )
+
+    def add(name: str, run: Callable[..., int], help: str) -> argparse.ArgumentParser:
+        sub = subparsers.add_parser(name, help=help, description=help, allow_abbrev=False)
+        sub.set_defaults(command=run)
+        return sub
+
+    _list(add("list", commands.list_installed, "name the tasks and solvers that are installed"))
+    _run(add("run", commands.run, "do everything: mesh, gaits, planner, evaluation, log, report"))
+    _body(add("body", commands.body, "build a soft body from a mesh file"))
+    _gait(add("gait", commands.gait, "optimise a task's gaits"))
+    _surrogate(add("surrogate", commands.surrogate, "fit the rigid surrogate to a task's gaits"))
+    _planner(add("planner", commands.planner, "train a planner on the surrogate"))
+    _evaluate(add("evaluate", commands.evaluate, "let a planner steer the reduced dynamics"))
+    _bench(add("bench", commands.bench, "time the step, its peers, the surrogate and the laser"))
+    _compare(add("compare", commands.compare, "compare the surrogate with the truth, from logs"))
+    _replay(add("replay", commands.replay, "simulate a log again, to the bit"))
+    _view(add("view", commands.view, "watch a task in MuJoCo's viewer"))
+    return parser
+
+
+def _list(sub: argparse.ArgumentParser) -> None:
+    _common(sub)
+
+
+def _run(sub: argparse.ArgumentParser) -> None:
+    _task(sub)
+    _stage(sub)
+    sub.add_argument("--gait-solver", metavar="NAME", help="(default: the task's)")
+    sub.add_argument("--planner", metavar="NAME", help="(default: the task's)")
+    sub.add_argument("--pairs", type=_count, default=1000, help="for the surrogate (default: 1000)")
+    sub.add_argument("--episodes", type=_count, default=200, help="novel scenes (default: 200)")
+    _common(sub)
+
+
+def _body(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "mesh",
+        metavar="MESH",
+        help="a watertight surface mesh (STL, OBJ, PLY, OFF, glTF), a tetrahedral mesh (.msh, "
+        ".vtk, .vtu), or a TASK: its mesh and its options",
+    )
+    sub.add_argument("-o", "--output", type=Path, metavar="FILE", help="body file to write (npz)")
+    sub.add_argument("--vertices", type=_count, metavar="N", help="of the tetrahedral mesh")
+    sub.add_argument("--modes", type=_count, metavar="R", help="modal coordinates")
+    sub.add_argument("--length", type=_positive, metavar="M", help="longest extent, metres")
+    sub.add_argument("--density", type=_positive, metavar="RHO", help="kg/m^3")
+    sub.add_argument("--youngs-modulus", type=_positive, metavar="E", help="Pa")
+    sub.add_argument("--poissons-ratio", type=_poisson, metavar="NU", help="0 to below 0.5")
+    sub.add_argument("--medium", choices=("water", "air"), help="what surrounds the body")
+    sub.add_argument(
+        "--check",
+        action="store_true",
+        help="print the errors of the reduction over the amplitudes that are used, and against the "
+        "full FEM (takes longer)",
+    )
+    _stage(sub)
+    _common(sub)
+
+
+def _gait(sub: argparse.ArgumentParser) -> None:
+    _task(sub)
+    sub.add_argument("--solver", metavar="NAME", help="gait solver (default: the task's)")
+    _stage(sub)
+    _common(sub)
+
+
+def _surrogate(sub: argparse.ArgumentParser) -> None:
+    _task(sub)
+    sub.add_argument("--pairs", type=_count, default=1000, help="(default: 1000)")
+    _stage(sub)
+    _common(sub)
+
+
+def _planner(sub: argparse.ArgumentParser) -> None:
+    _task(sub)
+    sub.add_argument("--planner", metavar="NAME", help="(default: the task's)")
+    _stage(sub)
+    _common(sub)
+
+
+def _evaluate(sub: argparse.ArgumentParser) -> None:
+    _task(sub)
+    sub.add_argument("--planner", metavar="NAME", help="(default: the task's)")
+    sub.add_argument(
+        "--shield",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="wrap the planner in the safety shield (default: with it)",
+    )
+    sub.add_argument("--scenes", choices=("k2", "novel"), default="novel", help="(default: novel)")
+    sub.add_argument("--obstacles", type=_natural, metavar="N", help="on the way to each target")
+    sub.add_argument("--episodes", type=_count, metavar="N", help="how many scenes")
+    sub.add_argument(
+        "--obstacle-speed", type=_not_negative, default=0.0, metavar="V", help="m/s (default: 0)"
+    )
+    sub.add_argument("--log", type=Path, metavar="DIR", help="log each episode (MCAP) into DIR")
+    _stage(sub)
+    _common(sub)
+
+
+def _bench(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--quick", action="store_true", help="fewer repeats: to try it, not to quote it"
+    )
+    _stage(sub)
+    _common(sub)
+
+
+def _compare(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("log", nargs="+", type=Path, metavar="LOG", help="MCAP file")
+    sub.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the plot (PNG, SVG)")
+    _common(sub)
+
+
+def _replay(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("log", type=Path, metavar="LOG", help="MCAP file")
+    sub.add_argument("--video", type=Path, metavar="FILE", help="write a video (MP4)")
+    _common(sub)
+
+
+def _view(sub: argparse.ArgumentParser) -> None:
+    _task(sub)
+    sub.add_argument("--planner", metavar="NAME", help="(default: the task's)")
+    sub.add_argument(
+        "--shield", action=argparse.BooleanOptionalAction, default=True, help="(default: with it)"
+    )
+    sub.add_argument("--obstacles", type=_natural, metavar="N", help="on the way to the target")
+    _stage(sub)
+    _common(sub)
+
+
+def _task(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("task", metavar="TASK", help="e.g. fish-swim; see `defplan list`")
+
+
+def _stage(sub: argparse.ArgumentParser) -> None:
+    """Add the options of commands that work in a run's folder."""
+    sub.add_argument("--seed", type=_natural, default=0, help="(default: 0)")
+    sub.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR",
+                     help="where the runs lie (default: logs)")  # fmt: skip
+    sub.add_argument("--fresh", action="store_true", help="use nothing made before")
+
+
+def _common(sub: argparse.ArgumentParser) -> None:
+    """Add the options of every command."""
+    sub.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    sub.add_argument("--quiet", action="store_true", help="no progress and no messages")
+    sub.add_argument("--debug", action="store_true", help="show the traceback of an error")
+
+
+def _natural(text: str) -> int:
+    return _number(text, int, lambda n: n >= 0, "a whole number, 0 or more")
+
+
+def _count(text: str) -> int:
+    return _number(text, int, lambda n: n >= 1, "a whole number, 1 or more")
+
+
+def _positive(text: str) -> float:
+    return _number(text, float, lambda x: 0 < x < math.inf, "a positive number")
+
+
+def _not_negative(text: str) -> float:
+    return _number(text, float, lambda x: 0 <= x < math.inf, "a number, 0 or more")
+
+
+def _poisson(text: str) -> float:
+    return _number(text, float, lambda x: 0 <= x < 0.5, "a number from 0 to below 0.5")
+
+
+def _number(text: str, kind: type, fits: Callable[[Any], bool], wanted: str) -> Any:
+    try:
+        value = kind(text)
+    except ValueError:
+        value = None
+    if value is None or not fits(value):
+        raise argparse.ArgumentTypeError(f"{text} is not {wanted}")
+    return value

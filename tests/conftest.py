@@ -1,0 +1,52 @@
+"""What all tests share: one thread, no screen, and a way to render that works on this machine."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+# Before anything loads numpy or mujoco.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import pytest
+
+_RENDER = """
+import mujoco
+model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+with mujoco.Renderer(model, 16, 16) as renderer:
+    renderer.update_scene(mujoco.MjData(model))
+    renderer.render()
+"""
+
+
+def _renders(backend: str) -> bool:
+    """Return whether MuJoCo renders with `backend` here; tried in a process that may crash."""
+    environment = {**os.environ, "MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _RENDER], env=environment, capture_output=True, timeout=60
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    return done.returncode == 0
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Choose how to render without a screen: what MUJOCO_GL says, else EGL, else OSMesa."""
+    wanted = os.environ.get("MUJOCO_GL")
+    config.defplan_renders = False  # type: ignore[attr-defined]
+    for backend in dict.fromkeys([wanted] if wanted else []) | dict.fromkeys(["egl", "osmesa"]):
+        if _renders(backend):
+            os.environ["MUJOCO_GL"] = os.environ["PYOPENGL_PLATFORM"] = backend
+            config.defplan_renders = True  # type: ignore[attr-defined]
+            return
+    os.environ["MUJOCO_GL"] = "disable"
+
+
+@pytest.fixture
+def rendering(pytestconfig: pytest.Config) -> None:
+    """Skip the test on a machine where MuJoCo renders with neither EGL nor OSMesa."""
+    if not pytestconfig.defplan_renders:  # type: ignore[attr-defined]
+        pytest.skip("MuJoCo renders with neither EGL nor OSMesa here: is libEGL installed?")

@@ -1,0 +1,170 @@
+"""The command line: one JSON object, one sentence for an error, the right exit code."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from defplan_mj import cli
+from defplan_mj.cli import commands
+from defplan_mj.cli.console import Console, table
+from defplan_mj.errors import DefplanError
+
+COMMANDS = (
+    "list run body gait surrogate planner evaluate bench compare replay view".split()  # noqa: SIM905
+)
+
+
+@pytest.fixture
+def failing(monkeypatch):
+    """Return a function that lets `defplan list` raise the given error."""
+
+    def put(error: BaseException) -> None:
+        def command(arguments, console):
+            raise error
+
+        monkeypatch.setattr(commands, "list_installed", command)
+
+    return put
+
+
+def test_help_names_every_command(capfd):
+    assert cli.main(["--help"]) == 0
+    text = capfd.readouterr().out
+    for name in COMMANDS:
+        assert f"    {name}" in text
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_the_common_options(name, capfd):
+    assert cli.main([name, "--help"]) == 0
+    text = capfd.readouterr().out
+    for option in ("--json", "--quiet", "--debug"):
+        assert option in text
+
+
+def test_help_and_list_import_nothing_heavy():
+    code = (
+        "import sys; from defplan_mj import cli; cli.main(['--help']);"
+        "heavy = {'numpy', 'torch', 'mujoco', 'rich', 'casadi'} & set(sys.modules);"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_list_prints_one_json_object_that_names_all_groups(capfd):
+    assert cli.main(["list", "--json"]) == 0
+    data = json.loads(capfd.readouterr().out)
+    assert "fish-swim" in [task["name"] for task in data["tasks"]]
+    assert {"dql", "shooting"} <= {solver["name"] for solver in data["solvers"]}
+    assert [domain["name"] for domain in data["domains"]] == ["fish"]
+
+
+@pytest.mark.parametrize(
+    ("argv", "sentence"),
+    [
+        (["rnu"], "there is no rnu, did you mean run?"),
+        ([], "required: COMMAND"),
+        (["run"], "required: TASK"),
+        (["run", "fish-swim", "--seed", "x"], "x is not a whole number, 0 or more"),
+        (["run", "fish-swim", "--sed", "1"], "unrecognized arguments: --sed"),
+        (["body", "a.stl", "--poissons-ratio", "0.5"], "0.5 is not a number from 0 to below 0.5"),
+        (["body", "a.stl", "--density", "nan"], "nan is not a positive number"),
+        (["evaluate", "fish-swim", "--scenes", "k3"], "there is no k3; choose from k2, novel"),
+        (["evaluate", "fish-swim", "--episodes", "0"], "0 is not a whole number, 1 or more"),
+    ],
+)
+def test_wrong_usage_is_one_sentence_and_exit_code_2(argv, sentence, capfd):
+    assert cli.main(argv) == 2
+    captured = capfd.readouterr()
+    assert sentence in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "sentence"),
+    [
+        (DefplanError("the mesh a.stl is empty"), 1, "the mesh a.stl is empty"),
+        (OSError(errno.ENOSPC, "No space left on device", "body.npz"), 1, "the disk is full"),
+        (PermissionError(errno.EACCES, "Permission denied", "/x"), 1, "no permission (/x)"),
+        (FileNotFoundError(errno.ENOENT, "No such file or directory", "y"), 1, "(y)"),
+        (MemoryError(), 1, "the memory is used up"),
+        (ValueError("odd"), 1, "this is a mistake in defplan: ValueError: odd"),
+        (KeyboardInterrupt(), 130, "stopped; run it again to go on"),
+    ],
+)
+def test_an_error_is_one_sentence_on_stderr_and_a_traceback_only_with_debug(
+    failing, capfd, error, code, sentence
+):
+    failing(error)
+    assert cli.main(["list", "--json"]) == code
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("defplan: ") and captured.err.count("\n") == 1
+    assert sentence in captured.err
+    assert cli.main(["list", "--debug"]) == code
+    assert "Traceback" in capfd.readouterr().err
+
+
+def test_with_json_whatever_else_is_printed_goes_to_stderr(capfd):
+    with Console(json=True) as console:
+        print("from Python")
+        os.write(1, b"from C\n")
+        console.result({"answer": 42}, "the answer is 42")
+    captured = capfd.readouterr()
+    assert json.loads(captured.out) == {"answer": 42}
+    assert "from Python" in captured.err and "from C" in captured.err
+
+
+def test_without_json_the_result_is_text(capfd):
+    with Console() as console:
+        console.result({"answer": 42}, "the answer is 42")
+    assert capfd.readouterr().out == "the answer is 42\n"
+
+
+def test_a_full_disk_under_stdout_is_an_error():
+    for options in ([], ["--json"]):
+        with open("/dev/full", "w") as full:
+            done = subprocess.run(
+                [sys.executable, "-m", "defplan_mj", "list", "--quiet", *options],
+                stdout=full,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        assert done.returncode == 1
+        assert done.stderr.startswith("defplan: the disk is full") and done.stderr.count("\n") == 1
+
+
+def test_a_reader_that_has_seen_enough_is_no_error_message():
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "defplan_mj", "list", "--quiet"],
+        stdout=write,
+        stderr=subprocess.PIPE,
+    )
+    os.close(write)
+    assert done.stderr == b""
+
+
+def test_progress_is_plain_lines_where_there_is_no_terminal(capfd):
+    with Console().progress() as progress:
+        progress("meshing", 0.0)
+        progress("meshing", 0.1)
+        progress("modes", 0.5)
+    assert capfd.readouterr().err == "meshing   0%\nmodes  50%\n"
+    with Console(quiet=True).progress() as progress:
+        progress("meshing", 0.0)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_table_lines_up_its_columns():
+    text = table(["name", "µs"], [["step", 61.5], ["laser", 9]])
+    assert text == "name     µs\n-----  ----\nstep   61.5\nlaser     9"
