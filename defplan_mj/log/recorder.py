@@ -149,7 +149,7 @@ class Recorder:
             self.partial.parent.mkdir(parents=True, exist_ok=True)
             self._stream = open(self.partial, "wb")  # noqa: SIM115 (as long as the episode)
             # a chunk ends where `_flush` says, between two steps, not at a size
-            self._writer = Writer(self._stream, chunk_size=1 << 30)
+            self._writer = Writer(self._stream, chunk_size=1 << 30, enable_data_crcs=True)
             self._writer.start(library=f"defplan {defplan_mj.__version__}")
             self._writer.add_metadata(
                 schemas.IDENTITY_RECORD, {key: str(value) for key, value in identity.items()}

@@ -1,0 +1,334 @@
+"""Read an episode's log into plain arrays, whole or cut at any byte."""
+
+from __future__ import annotations
+
+import json
+import struct
+import tempfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+import zstandard
+from google.protobuf.message import DecodeError
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Message, Metadata
+from mcap.stream_reader import breakup_chunk
+
+from defplan_mj.body.model import Body
+from defplan_mj.errors import DefplanError
+from defplan_mj.gait.gait import Gait
+from defplan_mj.log import schemas
+from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.surrogate import Surrogate
+
+_MAGIC = b"\x89MCAP0\r\n"
+_LARGEST_CHUNK = 1 << 30
+_DAMAGE = (
+    McapError,
+    DecodeError,
+    zstandard.ZstdError,
+    struct.error,
+    ValueError,
+    KeyError,
+    IndexError,
+    MemoryError,
+)
+
+
+class _Saved(Protocol):
+    """A part of a run that is loaded from its own file."""
+
+    @classmethod
+    def load(cls, path: str | Path) -> Any: ...
+
+
+_Part = TypeVar("_Part", bound=_Saved)
+
+
+@dataclass(frozen=True)
+class EpisodeLog:
+    """One episode: n steps from state 0 to state n, m gait cycles.
+
+    Attributes:
+        path: where it was read from.
+        fault: '' if the log is whole, else what is wrong with it, as half a sentence.
+        outcome: 'success', 'collision', 'timeout', or '' if the log does not hold the end.
+        reason: why, for people.
+        task, seed: what was run.
+        body_hash: of the body that moved.
+        timestep: s.
+        configuration: what the run was told to do, as it was given to the recorder.
+        versions: what it was run with.
+        attachments: file name -> bytes: 'body.npz', 'gait.npz', 'surrogate.npz', 'policy...'.
+        scene: the navigation problem.
+        time: (n + 1,) s.
+        states: (n + 1, nx), to the bit.
+        target_shapes: (n, r); row i led from state i to state i + 1.
+        clearance: (n,) m, at states 1 to n.
+        cycle_steps: (m + 1,) index of the state at which each cycle starts, and the last one ends.
+        gait_index: (m,) chosen gait.
+        values: (m, K) the planner's value of each gait.
+        reward: (m,).
+        laser: (m, beams) m, at the cycle's start.
+        surrogate_pose: (m, 7) position and quaternion (w x y z) that the surrogate predicted for the
+            cycle's end from its true start; NaN if it was not logged.
+    """
+
+    path: Path
+    fault: str
+    outcome: str
+    reason: str
+    task: str
+    seed: str
+    body_hash: str
+    timestep: float
+    configuration: dict[str, Any]
+    versions: dict[str, str]
+    attachments: dict[str, bytes]
+    scene: Scene
+    time: np.ndarray
+    states: np.ndarray
+    target_shapes: np.ndarray
+    clearance: np.ndarray
+    cycle_steps: np.ndarray
+    gait_index: np.ndarray
+    values: np.ndarray
+    reward: np.ndarray
+    laser: np.ndarray
+    surrogate_pose: np.ndarray
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is missing: the file is complete and the episode came to its end."""
+        return not self.fault
+
+    @cached_property
+    def body(self) -> Body:
+        """The attached body. Raises DefplanError if the log has none."""
+        return self._part(Body, "body.npz")
+
+    @cached_property
+    def gait(self) -> Gait:
+        """The attached gait. Raises DefplanError if the log has none."""
+        return self._part(Gait, "gait.npz")
+
+    @cached_property
+    def surrogate(self) -> Surrogate:
+        """The attached surrogate. Raises DefplanError if the log has none."""
+        return self._part(Surrogate, "surrogate.npz")
+
+    @property
+    def task_names(self) -> tuple[str, ...]:
+        """Names of the gaits, as far as the log knows them."""
+        return self.gait.task_names if "gait.npz" in self.attachments else ()
+
+    def _part(self, kind: type[_Part], name: str) -> _Part:
+        if name not in self.attachments:
+            raise DefplanError(f"log {self.path} holds no {name}")
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / name
+            path.write_bytes(self.attachments[name])
+            try:
+                return kind.load(path)
+            except DefplanError as error:
+                raise DefplanError(
+                    f"in log {self.path}: {str(error).replace(str(path), name)}"
+                ) from error
+
+
+@dataclass
+class _Contents:
+    """What was found in a file, before it is put in order."""
+
+    fault: str = ""
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    topics: dict[int, str] = field(default_factory=dict)
+    messages: dict[str, list[tuple[int, float, Any]]] = field(default_factory=dict)
+
+
+_NEEDED = {
+    topic: kind
+    for topic, kind in schemas.CHANNELS.items()
+    if topic not in (schemas.TF, schemas.SCENE, schemas.MESH, schemas.COM)
+}
+
+
+def read_log(path: str | Path) -> EpisodeLog:
+    """Read a log. What is there before a cut or a damaged place is returned, and `fault` says so.
+
+    Raises:
+        DefplanError: it is missing, not a log of ours, of another version, or cut before its first step.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise DefplanError(f"log {path} does not exist") from error
+    except OSError as error:
+        raise DefplanError(f"cannot read log {path}: {error.strerror}") from error
+    if data[: len(_MAGIC)] != _MAGIC[: len(data)]:
+        raise DefplanError(f"{path} is not an MCAP log")
+    found = _Contents()
+    end = len(_MAGIC)
+    try:
+        for position, opcode, record in _records(data):
+            end = position
+            # (a checksum of 0 means that its writer made none)
+            if opcode == Opcode.DATA_END and _number(record) not in (0, zlib.crc32(data[:end])):
+                raise ValueError("the data do not match their checksum")
+            _take(found, opcode, record)
+            end = position + 9 + len(record)
+    except _DAMAGE:
+        found.fault = f"damaged at byte {end}"
+    if not found.fault and data[end:] != _MAGIC:
+        found.fault = f"cut at byte {len(data)}"
+    if not found.fault and schemas.END_RECORD not in found.metadata:
+        found.fault = "stopped before the episode ended"
+    try:
+        return _in_order(path, found)
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        raise DefplanError(f"log {path} is damaged: record it anew") from error
+
+
+def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Yield position, opcode and content of every complete record up to the footer."""
+    position = len(_MAGIC)
+    while position + 9 <= len(data):
+        opcode, length = struct.unpack_from("<BQ", data, position)
+        stop = position + 9 + length
+        if stop > len(data):
+            return
+        yield position, opcode, data[position + 9 : stop]
+        if opcode == Opcode.FOOTER:
+            return
+        position = stop
+
+
+def _take(found: _Contents, opcode: int, record: bytes) -> None:
+    """Keep what a record says, if we need it."""
+    stream = ReadDataStream(BytesIO(record))
+    if opcode == Opcode.METADATA:
+        metadata = Metadata.read(stream)
+        found.metadata[metadata.name] = metadata.metadata
+    elif opcode == Opcode.ATTACHMENT:
+        if zlib.crc32(record[:-4]) != _number(record[-4:]):
+            raise ValueError("attachment does not match its checksum")
+        attachment = Attachment.read(stream)
+        found.attachments[attachment.name] = attachment.data
+    elif opcode == Opcode.CHUNK:
+        chunk = Chunk.read(stream)
+        if chunk.uncompressed_size > _LARGEST_CHUNK:
+            raise ValueError("chunk claims an impossible size")
+        # all of a chunk or nothing: the arrays below grow by whole chunks only
+        taken: list[tuple[str, int, float, Any]] = []
+        for item in breakup_chunk(chunk, validate_crc=True):
+            if isinstance(item, Channel):
+                found.topics[item.id] = item.topic
+            elif isinstance(item, Message) and found.topics[item.channel_id] in _NEEDED:
+                topic = found.topics[item.channel_id]
+                content = _NEEDED[topic].FromString(item.data)
+                taken.append((topic, item.sequence, item.log_time * 1e-9, content))
+        for topic, *message in taken:
+            found.messages.setdefault(topic, []).append(tuple(message))
+
+
+def _number(four: bytes) -> int:
+    return struct.unpack("<I", four)[0]
+
+
+def _in_order(path: Path, found: _Contents) -> EpisodeLog:
+    """Make arrays of what was found."""
+    identity = found.metadata.get(schemas.IDENTITY_RECORD)
+    if identity is None:
+        if found.fault.startswith(("cut", "damaged")):
+            raise DefplanError(
+                f"log {path} is {found.fault}, before its first step: record it anew"
+            )
+        raise DefplanError(f"{path} is an MCAP file, but not a log of this program")
+    if identity.get("format") != str(schemas.FORMAT_VERSION):
+        raise DefplanError(
+            f"{path} has log format {identity.get('format')}, this version reads "
+            f"{schemas.FORMAT_VERSION}: record it anew"
+        )
+    numbers = {
+        topic: {sequence: np.array(message.values) for sequence, _, message in messages}
+        for topic, messages in found.messages.items()
+        if schemas.CHANNELS[topic] is schemas.LabelledNumbers
+    }
+    states = numbers.get(schemas.STATE, {})
+    if not states or schemas.CONFIGURATION_RECORD not in found.metadata:
+        raise DefplanError(f"log {path} is {found.fault}, before its first step: record it anew")
+    configuration = json.loads(found.metadata[schemas.CONFIGURATION_RECORD]["json"])
+    scene = configuration.pop("scene")
+    arrays = {k: np.array(scene[k], float) for k in ("target", "centres", "radii", "velocities")}
+    arrays = {
+        k: a.reshape(-1, 3) if k in ("centres", "velocities") else a for k, a in arrays.items()
+    }
+
+    shapes = numbers.get(schemas.TARGET_SHAPE, {})
+    contacts = numbers.get(schemas.CONTACTS, {})
+    steps = 0  # up to the first one that misses something
+    while all(steps + 1 in part for part in (states, shapes, contacts)):
+        steps += 1
+    fault = found.fault
+    ending = found.metadata.get(schemas.END_RECORD, {})
+    if not fault and steps != int(ending.get("steps", -1)):
+        fault = f"incomplete: {steps} of {ending.get('steps')} steps are there"
+    modes = int(identity["modes"])
+    taken = range(1, steps + 1)
+    times = {sequence: time for sequence, time, _ in found.messages[schemas.STATE]}
+    return EpisodeLog(
+        path=path,
+        fault=fault,
+        outcome=ending.get("outcome", ""),
+        reason=ending.get("reason", ""),
+        task=identity["task"],
+        seed=identity["seed"],
+        body_hash=identity["body_hash"],
+        timestep=float(identity["timestep"]),
+        configuration=configuration,
+        versions=found.metadata.get(schemas.VERSIONS_RECORD, {}),
+        attachments=found.attachments,
+        scene=Scene(**{**scene, **arrays}),
+        time=np.array([times[i] for i in range(steps + 1)]),
+        states=np.array([states[i] for i in range(steps + 1)]),
+        target_shapes=np.array([shapes[i] for i in taken]).reshape(steps, modes),
+        clearance=np.array([contacts[i][0] for i in taken]),
+        **_cycles(found, numbers, steps),
+    )
+
+
+def _cycles(found: _Contents, numbers: dict[str, dict], steps: int) -> dict[str, np.ndarray]:
+    """Return the arrays of the cycles; messages of a cycle carry the number of its last step."""
+    gaits = numbers.get(schemas.GAIT, {})
+    values, rewards = numbers.get(schemas.VALUES, {}), numbers.get(schemas.REWARD, {})
+    scans = {n: np.array(m.ranges) for n, _, m in found.messages.get(schemas.LASER, [])}
+    poses = {n: _pose(m) for n, _, m in found.messages.get(schemas.SURROGATE, [])}
+    ends = [
+        n
+        for n in sorted(gaits)
+        if n <= steps and all(n in part for part in (values, rewards, scans))
+    ]
+    m = len(ends)
+    return {
+        "cycle_steps": np.array([0, *ends], int),
+        "gait_index": np.array([gaits[n][0] for n in ends], int),
+        "values": np.array([values[n] for n in ends]).reshape(m, -1 if m else 0),
+        "reward": np.array([rewards[n][0] for n in ends]),
+        "laser": np.array([scans[n] for n in ends]).reshape(m, -1 if m else 0),
+        "surrogate_pose": np.array([poses.get(n, np.full(7, np.nan)) for n in ends]).reshape(m, 7),
+    }
+
+
+def _pose(message: Any) -> np.ndarray:
+    p, q = message.pose.position, message.pose.orientation
+    return np.array([p.x, p.y, p.z, q.w, q.x, q.y, q.z])
