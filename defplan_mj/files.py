@@ -7,7 +7,6 @@ import hashlib
 import json
 import os
 import tempfile
-import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,9 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     target = Path(path)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=target.suffix, dir=target.parent)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{target.name}.", suffix=target.suffix, dir=target.parent
+        )
         os.close(handle)
     except OSError as error:
         raise DefplanError(f"cannot write {target}: {error.strerror}") from error
@@ -68,7 +69,11 @@ def content_hash(arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> s
 
 
 def save_archive(
-    path: str | Path, kind: str, version: int, arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]
+    path: str | Path,
+    kind: str,
+    version: int,
+    arrays: Mapping[str, np.ndarray],
+    meta: Mapping[str, Any],
 ) -> str:
     """Save arrays and JSON-able `meta` as one npz archive; return its content hash.
 
@@ -97,7 +102,9 @@ def load_archive(
         with np.load(source, allow_pickle=False) as archive:
             contents = {name: archive[name] for name in archive.files}
         header = json.loads(contents.pop(_HEADER).tobytes())
-    except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+    except PermissionError as error:
+        raise DefplanError(f"cannot read {source}: {error.strerror}") from error
+    except Exception as error:  # a damaged archive makes zipfile and NumPy raise a dozen kinds
         raise DefplanError(f"{source} is not a whole {kind} file (cut short or damaged)") from error
     if header.get("kind") != kind:
         raise DefplanError(f"{source} is a {header.get('kind')} file, not a {kind} file")
@@ -107,5 +114,7 @@ def load_archive(
         )
     meta = header["meta"]
     if content_hash(contents, meta) != header["hash"]:
-        raise DefplanError(f"{source} is damaged: its content does not match its hash; make it anew")
+        raise DefplanError(
+            f"{source} is damaged: its content does not match its hash; make it anew"
+        )
     return contents, meta, header["hash"]

@@ -83,7 +83,7 @@ class RunFolder:
     def __enter__(self) -> RunFolder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
-            self._lock = open(self.path / _LOCK, "a")  # noqa: SIM115 (open as long as the lock)
+            self._lock = open(self.path / _LOCK, "a")
         except OSError as error:
             raise DefplanError(f"cannot write into {self.path}: {error.strerror}") from error
         try:

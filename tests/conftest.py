@@ -6,11 +6,11 @@ import os
 import subprocess
 import sys
 
-# Before anything loads numpy or mujoco.
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
 import pytest
+
+from defplan_mj import threads
+
+threads.set_environment(1)  # before a test loads numpy
 
 _RENDER = """
 import mujoco
@@ -37,7 +37,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Choose how to render without a screen: what MUJOCO_GL says, else EGL, else OSMesa."""
     wanted = os.environ.get("MUJOCO_GL")
     config.defplan_renders = False  # type: ignore[attr-defined]
-    for backend in dict.fromkeys([wanted] if wanted else []) | dict.fromkeys(["egl", "osmesa"]):
+    for backend in dict.fromkeys([*([wanted] if wanted else []), "egl", "osmesa"]):
         if _renders(backend):
             os.environ["MUJOCO_GL"] = os.environ["PYOPENGL_PLATFORM"] = backend
             config.defplan_renders = True  # type: ignore[attr-defined]

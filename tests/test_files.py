@@ -1,0 +1,142 @@
+"""Files are whole or absent: atomic writes, damaged archives, full disks, Ctrl-C."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from defplan_mj import files
+from defplan_mj.errors import DefplanError
+
+ARRAYS = {"a": np.arange(2000.0).reshape(20, 100), "b": np.array([1, 2, 3])}
+META = {"name": "fish", "seconds": 1.5}
+
+
+@pytest.fixture
+def archive(tmp_path):
+    """Return the path of a small archive."""
+    path = tmp_path / "thing.npz"
+    files.save_archive(path, "thing", 1, ARRAYS, META)
+    return path
+
+
+def test_an_archive_comes_back_as_it_was_saved(archive):
+    arrays, meta, digest = files.load_archive(archive, "thing", 1)
+    assert meta == META
+    assert digest == files.content_hash(ARRAYS, META)
+    assert arrays.keys() == ARRAYS.keys()
+    for name, array in ARRAYS.items():
+        np.testing.assert_array_equal(arrays[name], array)
+        assert arrays[name].dtype == array.dtype
+
+
+def test_the_same_content_gives_the_same_bytes(tmp_path):
+    paths = [tmp_path / "one.npz", tmp_path / "two.npz"]
+    for path in paths:
+        files.save_archive(path, "thing", 1, ARRAYS, META)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_an_archive_cut_at_any_byte_is_refused(archive):
+    data = archive.read_bytes()
+    for size in [*range(0, len(data), 97), len(data) - 1]:
+        archive.write_bytes(data[:size])
+        with pytest.raises(DefplanError, match="is not a whole thing file|does not match its hash"):
+            files.load_archive(archive, "thing", 1)
+
+
+def test_an_archive_with_a_flipped_byte_is_refused_or_equal(archive):
+    data = archive.read_bytes()
+    for place in range(0, len(data), 61):
+        damaged = bytearray(data)
+        damaged[place] ^= 0xFF
+        archive.write_bytes(damaged)
+        try:
+            arrays, meta, _ = files.load_archive(archive, "thing", 1)
+        except DefplanError:
+            continue
+        assert meta == META  # the byte was one that zip does not use, a time stamp for instance
+        for name, array in ARRAYS.items():
+            np.testing.assert_array_equal(arrays[name], array)
+
+
+def test_another_kind_or_version_is_named(archive):
+    with pytest.raises(DefplanError, match="is a thing file, not a body file"):
+        files.load_archive(archive, "body", 1)
+    with pytest.raises(DefplanError, match="has thing format 1, this version reads 2: make it anew"):
+        files.load_archive(archive, "thing", 2)
+
+
+def test_a_file_that_is_missing_or_no_archive_is_named(tmp_path):
+    with pytest.raises(DefplanError, match="body file .*none.npz does not exist"):
+        files.load_archive(tmp_path / "none.npz", "body", 1)
+    other = tmp_path / "other.npz"
+    np.savez(other, a=np.zeros(3))
+    with pytest.raises(DefplanError, match="is not a whole body file"):
+        files.load_archive(other, "body", 1)
+    text = tmp_path / "text.npz"
+    text.write_text("not an archive")
+    with pytest.raises(DefplanError, match="is not a whole body file"):
+        files.load_archive(text, "body", 1)
+
+
+def test_pickled_objects_are_refused(tmp_path):
+    path = tmp_path / "evil.npz"
+    np.savez(path, a=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(DefplanError, match="is not a whole body file"):
+        files.load_archive(path, "body", 1)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("odd"), KeyboardInterrupt()])
+def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path, error):
+    path = tmp_path / "a.txt"
+    files.write_text(path, "old")
+    with pytest.raises(type(error)), files.atomic_path(path) as temporary:
+        temporary.write_text("half of the ne")
+        raise error
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_a_full_disk_is_one_sentence_and_leaves_the_old_file(archive, monkeypatch):
+    before = archive.read_bytes()
+
+    def full(*_args, **_kwargs):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(DefplanError, match=r"cannot write .*thing.npz: No space left on device"):
+        files.save_archive(archive, "thing", 1, {"a": np.zeros(3)}, {})
+    assert archive.read_bytes() == before
+    assert os.listdir(archive.parent) == [archive.name]
+
+
+def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(DefplanError, match="cannot write"):
+        files.write_text(tmp_path / "file" / "a.txt", "text")
+
+
+def test_a_process_killed_while_writing_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.txt"
+    files.write_text(path, "old")
+    code = (
+        "import sys, time; from defplan_mj import files\n"
+        "with files.atomic_path(sys.argv[1]) as temporary:\n"
+        "    temporary.write_text('half'); print('writing', flush=True); time.sleep(60)"
+    )
+    writer = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE)
+    assert writer.stdout is not None
+    assert writer.stdout.readline() == b"writing\n"
+    time.sleep(0.05)
+    writer.send_signal(signal.SIGKILL)
+    writer.wait(10)
+    writer.stdout.close()
+    assert path.read_text() == "old"

@@ -1,0 +1,141 @@
+"""The package: what is locked, what is built, and what a machine without a compiler is told."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[1]
+PARTS = ("defplan_mj", "tasks", "solvers", "setup.py", "pyproject.toml", "README.md", "LICENSE")
+
+needs_source_tree = pytest.mark.skipif(
+    not (ROOT / "setup.py").is_file(), reason="runs in the source tree only"
+)
+pytestmark = needs_source_tree
+
+
+@pytest.fixture
+def tree(tmp_path):
+    """Return a copy of what the package is built from, without anything that was built."""
+    for part in PARTS:
+        source = ROOT / part
+        if source.is_dir():
+            ignored = shutil.ignore_patterns("*.so", "*.built", "__pycache__")
+            shutil.copytree(source, tmp_path / part, ignore=ignored)
+        else:
+            shutil.copy(source, tmp_path / part)
+    return tmp_path
+
+
+def build(tree: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run `setup.py build_ext --inplace` in `tree`."""
+    return subprocess.run(
+        [sys.executable, "setup.py", "-q", "build_ext", "--inplace"],
+        cwd=tree,
+        env={**os.environ, "DEFPLAN_MARCH": "", **environment},
+        capture_output=True,
+        text=True,
+    )
+
+
+def locked() -> dict[str, str]:
+    """Return the versions in the lock file by canonical name."""
+    lines = (ROOT / "requirements.lock").read_text().splitlines()
+    pairs = [line.split("==") for line in lines if line and not line.startswith("#")]
+    return {canonicalize_name(name): version for name, version in pairs}
+
+
+def test_the_lock_holds_every_dependency_in_a_version_that_fits():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    versions = locked()
+    for text in [*project["dependencies"], *project["optional-dependencies"]["dev"]]:
+        requirement = Requirement(text)
+        version = versions[canonicalize_name(requirement.name)]
+        assert requirement.specifier.contains(version), f"{text} is locked to {version}"
+
+
+def test_the_lock_names_versions_only():
+    for line in (ROOT / "requirements.lock").read_text().splitlines():
+        assert line.startswith("#") or re.fullmatch(r"[A-Za-z0-9._-]+==[0-9][0-9a-z.]*", line), line
+
+
+def test_without_a_compiler_there_is_one_sentence(tree):
+    done = build(tree, CC="no-such-compiler")
+    assert done.returncode != 0
+    assert done.stderr.startswith("defplan needs a C compiler to build its kernel")
+    assert "no-such-compiler" in done.stderr and done.stderr.count("\n") == 1
+    assert not list(tree.rglob("*.so"))
+
+
+def test_libraries_are_built_again_only_if_what_they_are_made_of_changes(tree):
+    first = build(tree)
+    assert first.returncode == 0, first.stderr
+    kernel = tree / "defplan_mj/kernel/libdefplan_kernel.so"
+    plugin = tree / "defplan_mj/host/libdefplan_plugin.so"
+    assert kernel.is_file() and plugin.is_file()
+
+    def times() -> tuple[int, int]:
+        return kernel.stat().st_mtime_ns, plugin.stat().st_mtime_ns
+
+    made = times()
+    assert build(tree).returncode == 0
+    assert times() == made
+    with open(tree / "defplan_mj/host/plugin.c", "a") as source:
+        source.write("/* changed */\n")
+    assert build(tree).returncode == 0
+    assert times()[0] == made[0] and times()[1] != made[1]
+    with open(tree / "defplan_mj/kernel/kernel.h", "a") as header:
+        header.write("/* changed */\n")
+    assert build(tree).returncode == 0
+    assert times()[0] != made[0]
+
+
+def test_a_source_that_does_not_compile_leaves_the_old_library(tree):
+    assert build(tree).returncode == 0
+    kernel = tree / "defplan_mj/kernel/libdefplan_kernel.so"
+    before = kernel.read_bytes()
+    with open(next((tree / "defplan_mj/kernel").glob("*.c")), "a") as source:
+        source.write("this is not C\n")
+    done = build(tree)
+    assert done.returncode != 0
+    assert "could not build defplan_mj/kernel/libdefplan_kernel.so" in done.stderr
+    assert kernel.read_bytes() == before
+
+
+@pytest.mark.slow
+def test_a_wheel_holds_libraries_plugins_and_data(tree):
+    subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "."],
+        cwd=tree,
+        check=True,
+        capture_output=True,
+    )
+    (wheel,) = tree.glob("defplan-*.whl")
+    assert "none-any" not in wheel.name  # it holds machine code
+    names = set(zipfile.ZipFile(wheel).namelist())
+    wanted = {
+        "defplan_mj/kernel/libdefplan_kernel.so",
+        "defplan_mj/host/libdefplan_plugin.so",
+        "defplan_mj/kernel/kernel.h",
+        "defplan_tasks/assets/fish.obj",
+    }
+    assert wanted <= names
+    for folder, package in (
+        ("defplan_mj", "defplan_mj"),
+        ("tasks", "defplan_tasks"),
+        ("solvers", "defplan_solvers"),
+    ):
+        for path in (ROOT / folder).rglob("*"):
+            inside = path.relative_to(ROOT / folder).as_posix()
+            if path.suffix in (".py", ".html", ".obj"):
+                assert f"{package}/{inside}" in names
