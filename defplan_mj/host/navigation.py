@@ -1,0 +1,241 @@
+"""The navigation task (paper, section IV-B): one action is one gait, one step is one gait cycle."""
+
+from __future__ import annotations
+
+import collections
+from collections.abc import Callable
+
+import numpy as np
+from dm_control.rl import control
+from dm_control.suite import base
+from dm_env import specs
+
+from defplan_mj.body.model import Body
+from defplan_mj.errors import DefplanError
+from defplan_mj.gait.gait import Gait
+from defplan_mj.host.physics import Physics
+from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.planning.scenes import Scene
+from defplan_mj.task import Navigation
+
+COLLISION_PENALTY = 1000.0  # Eq. 2
+MAX_OBSTACLES = 16
+
+SceneSampler = Callable[[np.random.RandomState], Scene]
+StepHook = Callable[[Physics, np.ndarray], None]
+
+
+class Navigate(base.Task):
+    """Reach the target of a scene, cycle by cycle, without touching an obstacle.
+
+    The surface is checked against all obstacles after every physics step; the episode ends within
+    the cycle, at the physics step where the target is reached or an obstacle touched.
+
+    Attributes:
+        scene: of this episode; setting it takes effect at the next reset.
+        outcome: 'running', 'success', 'collision' or 'timeout'.
+        cycles: gait cycles begun in this episode.
+        closest: smallest clearance of this episode, m, at most 1.
+        step_hook: called with the physics and the target shape (r,) after every physics step.
+    """
+
+    def __init__(
+        self,
+        gait: Gait,
+        sampler: SceneSampler,
+        *,
+        scene: Scene | None = None,
+        time_limit: float = float("inf"),
+        random: np.random.RandomState | int | None = None,
+    ):
+        """Take what drives the robot and where scenes come from.
+
+        Args:
+            gait: its tasks are the actions.
+            sampler: draws the scene of an episode; not used once `scene` is set.
+            scene: keep to this one.
+            time_limit: s, ends the episode as a timeout.
+            random: generator or seed of the sampler.
+        """
+        super().__init__(random=random)
+        self.gait = gait
+        self.outcome = "running"
+        self.cycles = 0
+        self.closest = 1.0
+        self.step_hook: StepHook | None = None
+        self._table = gait.table()
+        self._sampler = sampler
+        self._fixed = scene
+        self._scene = scene
+        self._time_limit = time_limit
+        self._before = np.zeros(3)
+
+    @property
+    def scene(self) -> Scene | None:
+        """The scene of this episode; None before the first reset."""
+        return self._scene
+
+    @scene.setter
+    def scene(self, scene: Scene) -> None:
+        self._fixed = scene
+
+    def initialize_episode(self, physics: Physics) -> None:
+        """Place the robot at rest at the origin, in its scene."""
+        self._scene = self._fixed if self._fixed is not None else self._sampler(self.random)
+        physics.set_scene(self._scene)
+        state = np.zeros(13 + 2 * physics.n_modes)
+        state[3], state[6] = np.cos(self._scene.yaw / 2), np.sin(self._scene.yaw / 2)
+        physics.set_reduced_state(state)
+        self.outcome = "running"
+        self.cycles = 0
+        self.closest = 1.0
+        self._before = physics.com()
+
+    def action_spec(self, physics: Physics) -> specs.DiscreteArray:
+        """Return the choice among the gait's tasks."""
+        return specs.DiscreteArray(len(self._table), name="gait")
+
+    def before_step(self, action: int, physics: Physics) -> None:
+        """Make the coming physics steps one cycle of gait `action`.
+
+        Raises:
+            DefplanError: there is no such gait.
+        """
+        index = int(np.asarray(action).item())
+        if not 0 <= index < len(self._table):
+            raise DefplanError(
+                f"there is no gait {index}: the actions are 0 to {len(self._table) - 1}"
+                f" ({', '.join(self.gait.task_names)})"
+            )
+        self.cycles += 1
+        self._before = physics.com()
+        physics.follow(self._table[index], self._after_physics_step)
+
+    def _after_physics_step(self, physics: Physics, target_shape: np.ndarray) -> bool:
+        """Check for collision and success; true ends the cycle here."""
+        clearance = physics.clearance()
+        self.closest = min(self.closest, clearance)
+        if clearance < 0:
+            self.outcome = "collision"
+        elif self.distance(physics) <= self._here().goal_radius:
+            self.outcome = "success"
+        if self.step_hook is not None:
+            self.step_hook(physics, target_shape)
+        return self.outcome != "running"
+
+    def after_step(self, physics: Physics) -> None:
+        """Time out after the scene's number of cycles."""
+        late = self.cycles >= self._here().max_cycles or physics.time() >= self._time_limit
+        if self.outcome == "running" and late:
+            self.outcome = "timeout"
+
+    def distance(self, physics: Physics) -> float:
+        """Return the distance of the centre of mass from the target, m."""
+        return float(np.linalg.norm(physics.com() - self._here().target))
+
+    def get_reward(self, physics: Physics) -> float:
+        """Return Eq. 2: |c_i - T|^2 - |c_{i+1} - T|^2 - 1000 coll, of the cycle just done."""
+        target = self._here().target
+        before, after = self._before - target, physics.com() - target
+        collision = COLLISION_PENALTY if self.outcome == "collision" else 0.0
+        return float(before @ before - after @ after - collision)
+
+    def get_termination(self, physics: Physics) -> float | None:
+        """Return the last discount: 0 at success and collision, 1 at a timeout; None if not over."""
+        if self.outcome == "running":
+            return None
+        return 1.0 if self.outcome == "timeout" else 0.0
+
+    def get_observation(self, physics: Physics) -> collections.OrderedDict[str, np.ndarray]:
+        """Return 'state', 'target' and 'laser', see `reduced_observation`."""
+        return reduced_observation(physics, self._here().target)
+
+    def _here(self) -> Scene:
+        if self._scene is None:
+            raise DefplanError("the episode has no scene yet: reset the environment first")
+        return self._scene
+
+
+def reduced_observation(
+    physics: Physics, target: np.ndarray
+) -> collections.OrderedDict[str, np.ndarray]:
+    """Return what a planner sees, float64, in the body's yaw frame (x forward, y left, z up).
+
+    'state' (11 + 2r,): height (m), orientation without yaw as a quaternion w x y z, modal
+    coordinates, velocity (m/s), angular velocity in the body frame (rad/s), modal velocities;
+    'target' (3,): its position relative to the centre of mass, m; 'laser' (beams,): see `laser.scan`.
+    """
+    frame, yaw, quaternion = physics.yaw_frame(), physics.yaw(), physics.data.qpos[3:7]
+    cos, sin = np.cos(-yaw / 2), np.sin(-yaw / 2)
+    w, x, y, z = quaternion
+    tilt = np.array([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w])
+    tilt *= 1.0 if tilt[0] >= 0 else -1.0
+    centre = physics.com()
+    state = np.concatenate(
+        [
+            centre[2:],
+            tilt,
+            physics.shape(),
+            physics.data.qvel[:3] @ frame,
+            physics.data.qvel[3:6],
+            physics.shape_velocity(),
+        ]
+    )
+    observation = collections.OrderedDict()
+    observation["state"] = state
+    observation["target"] = (np.asarray(target) - centre) @ frame
+    observation["laser"] = physics.laser()
+    return observation
+
+
+def navigation_environment(
+    body: Body,
+    gait: Gait,
+    navigation: Navigation,
+    sampler: SceneSampler,
+    *,
+    scene: Scene | None = None,
+    time_limit: float = float("inf"),
+    random: np.random.RandomState | int | None = None,
+    texture: np.ndarray | None = None,
+    environment_kwargs: dict | None = None,
+) -> control.Environment:
+    """Return the navigation task of `body` with `gait` as a dm_control environment.
+
+    Args:
+        navigation: beams and range of the laser, goal and limits of sampled scenes.
+        sampler: draws scenes with the task's generator.
+        scene: keep to this one; later ones are set as `env.task.scene`.
+        time_limit: s; a scene's own max_cycles holds anyway.
+        texture: of the skin, see `skin.add_skin`.
+
+    Raises:
+        DefplanError: the gait is of another body, or asks for larger shapes than the body has.
+    """
+    if gait.body_hash != body.hash:
+        raise DefplanError(
+            f"the gait belongs to another body ({gait.body_hash[:8]}) than {body.name}"
+            f" ({body.hash[:8]}): solve the gait for this body"
+        )
+    if np.any(np.abs(gait.table()) > body.amplitude):
+        raise DefplanError(
+            f"the gait asks for larger target shapes than the body {body.name} is made for"
+            f" ({np.array2string(body.amplitude)})"
+        )
+    spec = build_spec(
+        body,
+        gait.timestep,
+        normalised_controls=False,
+        max_obstacles=MAX_OBSTACLES,
+        beams=navigation.beams,
+        laser_range=navigation.laser_range,
+        texture=texture,
+    )
+    task = Navigate(gait, sampler, scene=scene, time_limit=time_limit, random=random)
+    return control.Environment(
+        Physics.from_mjmodel(compile_model(spec)),
+        task,
+        n_sub_steps=gait.steps_per_cycle,
+        time_limit=time_limit,
+        **(environment_kwargs or {}),
+    )

@@ -1,0 +1,179 @@
+"""dm_control's Physics for a deformable robot: its reduced state, measurements, laser, and gait following."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from dm_control.mujoco import engine, wrapper
+
+from defplan_mj.host import contact, laser
+from defplan_mj.host.obstacles import set_scene
+from defplan_mj.host.plugin import load_plugin
+from defplan_mj.host.scene import ROBOT
+from defplan_mj.kernel.library import kernel
+from defplan_mj.planning.scenes import Scene
+
+load_plugin()  # on import, since a pickled Physics needs it before any of its code runs
+
+# indices into plugin_state (plugin.c)
+_ITERATIONS, _RESIDUAL, _FAILED = 1, 2, 3
+
+
+class Physics(engine.Physics):
+    """A model of `scene.build_spec` under way.
+
+    The robot is the model's first body, so its state is the first 7 + r of qpos, 6 + r of qvel.
+    """
+
+    _shapes: np.ndarray | None = None
+    _after: Callable[[Physics, np.ndarray], bool] | None = None
+
+    @classmethod
+    def from_mjmodel(cls, model: mujoco.MjModel) -> Physics:
+        """Return a Physics at rest of a compiled model."""
+        return cls.from_model(wrapper.MjModel(model))
+
+    # ---- the reduced state
+
+    @property
+    def n_modes(self) -> int:
+        """r, the number of modal coordinates."""
+        return self._numeric("defplan_scale").size
+
+    def reduced_state(self) -> np.ndarray:
+        """Return a copy of the state (13 + 2r,) as kernel.h lays it out."""
+        r = self.n_modes
+        return np.concatenate([self.data.qpos[: 7 + r], self.data.qvel[: 6 + r]])
+
+    def set_reduced_state(self, state: np.ndarray) -> None:
+        """Set the state (13 + 2r,); use within `reset_context`, or call `forward` afterwards."""
+        r = self.n_modes
+        self.data.qpos[: 7 + r] = state[: 7 + r]
+        self.data.qvel[: 6 + r] = state[7 + r :]
+
+    def target_shape(self) -> np.ndarray:
+        """Return the target shape (r,) that the present controls ask for."""
+        r = self.n_modes
+        low, high = self.model.actuator_ctrlrange[:r].T
+        return self._numeric("defplan_scale") * np.clip(self.data.ctrl[:r], low, high)
+
+    def solver(self) -> dict[str, float]:
+        """Return 'iterations' and 'residual' of the last step, 'failed' solves since the reset."""
+        state = self.data.plugin_state
+        return {
+            "iterations": float(state[_ITERATIONS]),
+            "residual": float(state[_RESIDUAL]),
+            "failed": float(state[_FAILED]),
+        }
+
+    # ---- measurements
+
+    def shape(self) -> np.ndarray:
+        """Return a copy of the modal coordinates (r,)."""
+        return self.data.qpos[7 : 7 + self.n_modes].copy()
+
+    def shape_velocity(self) -> np.ndarray:
+        """Return a copy of the modal velocities (r,), 1/s."""
+        return self.data.qvel[6 : 6 + self.n_modes].copy()
+
+    def com(self) -> np.ndarray:
+        """Return a copy of the centre of mass (3,), m."""
+        return self.data.qpos[:3].copy()
+
+    def orientation(self) -> np.ndarray:
+        """Return the (3, 3) rotation of the body frame: columns forward, left, up."""
+        matrix = np.empty(9)
+        mujoco.mju_quat2Mat(matrix, self.data.qpos[3:7])
+        return matrix.reshape(3, 3)
+
+    def yaw(self) -> float:
+        """Return the heading, rad, in (-pi, pi]."""
+        rotation = self.orientation()
+        return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+
+    def yaw_frame(self) -> np.ndarray:
+        """Return the (3, 3) rotation by the heading about the vertical."""
+        yaw = self.yaw()
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+    def upright(self) -> float:
+        """Return the cosine of the angle between the body's up and the vertical."""
+        return float(self.orientation()[2, 2])
+
+    def surface(self) -> np.ndarray:
+        """Return the world positions (n_s, 3) of the deformed surface vertices, m."""
+        blob, sizes = self._blob(), (ctypes.c_int * 4)()
+        kernel().dp_sizes(blob, sizes)
+        points = np.empty((sizes[3], 3))
+        qpos = self.data.qpos[: 7 + self.n_modes].copy()
+        kernel().dp_surface(blob, qpos, points)
+        return points
+
+    def clearance(self) -> float:
+        """Return the signed distance of the surface to the nearest obstacle, m, at most 1."""
+        return float(self.named.data.sensordata["clearance"][0])
+
+    def nearest(self, cutoff: float = 1.0) -> contact.Nearest:
+        """Return the closest pair of surface point and geom within `cutoff` (m)."""
+        qpos = self.data.qpos[: 7 + self.n_modes].copy()
+        robot = self.model.name2id(ROBOT, "body")
+        return contact.nearest(self.model.ptr, self.data.ptr, self._blob(), qpos, robot, cutoff)
+
+    def laser_range(self) -> float:
+        """Return the range of the laser, m."""
+        return float(self._numeric("laser")[1])
+
+    def laser(self) -> np.ndarray:
+        """Return the (beams,) laser distances, m; see `laser.scan`."""
+        beams, laser_range = self._numeric("laser")
+        robot = self.model.name2id(ROBOT, "body")
+        return laser.scan(
+            self.model.ptr,
+            self.data.ptr,
+            self.com(),
+            self.yaw(),
+            int(beams),
+            float(laser_range),
+            robot,
+        )
+
+    # ---- acting
+
+    def set_scene(self, scene: Scene) -> None:
+        """Place target and obstacles; use within `reset_context`, see `obstacles.set_scene`."""
+        set_scene(self.model.ptr, self.data.ptr, scene)
+
+    def follow(
+        self, target_shapes: np.ndarray, after: Callable[[Physics, np.ndarray], bool]
+    ) -> None:
+        """Make the next `step(n)` set control i before its physics step i.
+
+        Args:
+            target_shapes: (n, r) controls.
+            after: called after each physics step with the control; true ends the `step` early.
+        """
+        self._shapes, self._after = target_shapes, after
+
+    def step(self, nstep: int = 1) -> None:
+        """Advance by `nstep` physics steps, along the target shapes of `follow` if there are."""
+        shapes, after = self._shapes, self._after
+        self._shapes = self._after = None
+        if shapes is None or after is None:
+            super().step(nstep)
+            return
+        for shape in shapes[:nstep]:
+            self.set_control(shape)
+            super().step()
+            if after(self, shape):
+                break
+
+    def _numeric(self, name: str) -> np.ndarray:
+        model = self.model.ptr
+        return model.numeric(name).data
+
+    def _blob(self) -> np.ndarray:
+        return self._numeric("defplan_body")

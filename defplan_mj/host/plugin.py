@@ -1,0 +1,34 @@
+"""Load the engine plugin `defplan.reduced_fem` into MuJoCo, once a process."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import mujoco
+
+from defplan_mj.errors import DefplanError
+
+NAME = "defplan.reduced_fem"
+LIBRARY = Path(__file__).with_name("libdefplan_plugin.so")
+
+
+@functools.cache
+def load_plugin(library: Path = LIBRARY) -> None:
+    """Register the plugin with MuJoCo; later calls do nothing.
+
+    Raises:
+        DefplanError: the library is not built, or was built for another MuJoCo.
+    """
+    if not library.is_file():
+        raise DefplanError(
+            f"the MuJoCo plugin {library} is not built: install defplan from source"
+            " (pip install .), which needs gcc or clang"
+        )
+    try:
+        mujoco.mj_loadPluginLibrary(str(library))
+    except (mujoco.FatalError, RuntimeError, OSError) as error:
+        raise DefplanError(
+            f"MuJoCo {mujoco.__version__} cannot load {library} ({error}):"
+            " install defplan from source again, beside this MuJoCo"
+        ) from error

@@ -1,0 +1,225 @@
+"""Build the MuJoCo model of one deformable robot in its world, with MjSpec: self-contained, nothing on disk."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from defplan_mj.body.model import Body
+from defplan_mj.errors import DefplanError
+from defplan_mj.host import skin
+from defplan_mj.host.plugin import NAME as PLUGIN
+from defplan_mj.host.plugin import load_plugin
+from defplan_mj.kernel.pack import pack_body, pack_options
+
+ROBOT = "robot"
+ROOT = "root"
+TARGET = "target"
+FLOOR_DEPTH = 3.0  # m below the start
+OBSTACLE_HALF_HEIGHT = 3.0  # m, of upright cylinders
+PARKED = (0.0, 0.0, -100.0)  # m, where unused obstacles wait
+SOLID_GROUP, DECOR_GROUP = 0, 2  # geom groups; the laser sees all but decor
+
+
+def build_spec(
+    body: Body,
+    timestep: float,
+    *,
+    normalised_controls: bool = True,
+    max_obstacles: int = 0,
+    beams: int = 64,
+    laser_range: float = 10.0,
+    texture: np.ndarray | None = None,
+) -> mujoco.MjSpec:
+    """Describe a robot with `body` that floats at the origin, a target, parked obstacles and cameras.
+
+    The spec may be added to (geoms, bodies, sensors) before it is compiled. Names: body 'robot', its
+    free joint 'root', slide joints 'mode_0'..., actuators 'target_0'..., sensor 'clearance', site
+    'target', mocap bodies and geoms 'obstacle_0'..., cameras 'chase', 'top', numeric 'laser' (number
+    of beams, range in m), text 'body_hash'.
+
+    Args:
+        timestep: of the reduced step, s.
+        normalised_controls: ctrl in [-1, 1] is the target shape divided by `body.amplitude`; if
+            false, ctrl is the target shape itself, within the amplitude.
+        max_obstacles: how many obstacles a planning.scenes.Scene may have here.
+        beams, laser_range: of the laser scanner; range in m.
+        texture: of the skin, see `skin.add_skin`.
+    """
+    load_plugin()
+    spec = mujoco.MjSpec()
+    spec.modelname = body.name
+    spec.option.timestep = timestep
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.nuser_body = 3  # velocity of a mocap obstacle
+    _add_looks(spec)
+    _add_robot(spec, body, timestep, normalised_controls)
+    skin.add_skin(spec, body, ROBOT, "self", texture)
+    spec.add_numeric(name="laser", data=[float(beams), laser_range])
+    # a site away from its body's origin: one compiled at the origin could not be moved
+    spec.worldbody.add_site(
+        name=TARGET, pos=[5, 0, 0], size=[0.5, 0.5, 0.5], material=TARGET, group=0
+    )
+    for index in range(max_obstacles):
+        _add_obstacle(spec, index)
+    return spec
+
+
+def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile `spec`.
+
+    Raises:
+        DefplanError: MuJoCo refuses it.
+    """
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise DefplanError(f"MuJoCo cannot build the model {spec.modelname}: {error}") from error
+
+
+def _add_robot(spec: mujoco.MjSpec, body: Body, timestep: float, normalised: bool) -> None:
+    """Add the free joint, the modal slide joints, their actuators, the plugin and its data."""
+    amplitude = np.asarray(body.amplitude, float)
+    spec.add_numeric(name="defplan_body", data=pack_body(body))
+    spec.add_numeric(name="defplan_options", data=pack_options(body, timestep))
+    scale = amplitude if normalised else np.ones(body.n_modes)
+    spec.add_numeric(name="defplan_scale", data=scale)
+    spec.add_text(name="body_hash", data=body.hash)
+
+    spec.activate_plugin(PLUGIN)
+    plugin = spec.add_plugin(name="reduced_fem", plugin_name=PLUGIN, active=True)
+    plugin.config = {
+        "body": "defplan_body",
+        "options": "defplan_options",
+        "scale": "defplan_scale",
+    }
+
+    masses, points = body.vertex_mass, body.vertices
+    second = np.einsum("v,vi,vj->ij", masses, points, points)
+    inertia = np.trace(second) * np.eye(3) - second
+    robot = spec.worldbody.add_body(
+        name=ROBOT,
+        gravcomp=1,
+        explicitinertial=True,
+        mass=body.mass,
+        ipos=[0, 0, 0],
+        fullinertia=inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]],
+    )
+    robot.add_freejoint(name=ROOT)
+    for mode in range(body.n_modes):
+        # a dummy: it carries q as a joint position, the plugin moves it
+        dummy = robot.add_body(
+            name=f"mode_{mode}",
+            gravcomp=1,
+            explicitinertial=True,
+            mass=1e-9 * body.mass,
+            ipos=[0, 0, 0],
+            inertia=[1e-9, 1e-9, 1e-9],
+        )
+        dummy.add_joint(
+            name=f"mode_{mode}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], armature=1
+        )
+        limit = 1.0 if normalised else amplitude[mode]
+        spec.add_actuator(
+            name=f"target_{mode}",
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            target=f"mode_{mode}",
+            ctrllimited=True,
+            ctrlrange=[-limit, limit],
+        ).plugin = plugin
+    spec.add_sensor(name="clearance", type=mujoco.mjtSensor.mjSENS_PLUGIN).plugin = plugin
+
+    length = body.length
+    track = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
+    robot.add_camera(
+        name="chase",
+        mode=track,
+        pos=[-1.6 * length, -2.2 * length, 1.3 * length],
+        xyaxes=[0.81, -0.59, 0, 0.25, 0.35, 0.90],
+    )
+    robot.add_camera(name="top", mode=track, pos=[0, 0, 5 * length], xyaxes=[1, 0, 0, 0, 1, 0])
+
+
+def _add_obstacle(spec: mujoco.MjSpec, index: int) -> None:
+    name = f"obstacle_{index}"
+    holder = spec.worldbody.add_body(name=name, mocap=True, pos=PARKED)
+    holder.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[1, OBSTACLE_HALF_HEIGHT, 0],
+        rgba=[0, 0, 0, 0],
+        group=SOLID_GROUP,
+    )
+
+
+def _add_looks(spec: mujoco.MjSpec) -> None:
+    """Add light, sky, sea bed and the materials that dm_control's reward colours want."""
+    spec.stat.extent = 3
+    spec.stat.center = [0, 0, 0]
+    visual = spec.visual
+    visual.headlight.ambient = [0.35, 0.38, 0.42]
+    visual.headlight.diffuse = [0.35, 0.36, 0.36]
+    visual.headlight.specular = [0.1, 0.1, 0.1]
+    visual.map.znear = 0.01
+    visual.map.zfar = 60
+    visual.quality.shadowsize = 4096
+    visual.quality.offsamples = 8
+    visual.global_.offwidth = 1920
+    visual.global_.offheight = 1080
+    visual.rgba.haze = [0.36, 0.62, 0.71, 1]
+
+    spec.add_texture(
+        name="skybox",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.62, 0.83, 0.88],
+        rgb2=[0.16, 0.42, 0.55],
+        width=256,
+        height=256,
+    )
+    spec.add_texture(
+        name="grid",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.20, 0.45, 0.55],
+        rgb2=[0.24, 0.51, 0.60],
+        width=256,
+        height=256,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        markrgb=[0.28, 0.55, 0.64],
+    )
+    textures = [""] * mujoco.mjtTextureRole.mjNTEXROLE.value
+    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
+    spec.add_material(
+        name="grid", textures=textures, texrepeat=[0.5, 0.5], texuniform=True, reflectance=0.05
+    )
+    colours = {
+        "self": ([1, 1, 1, 1], [0.7, 1, 0.7, 1]),
+        "effector": ([0.7, 0.4, 0.2, 1], [0, 0.5, 0.3, 1]),
+        "target": ([0.25, 0.85, 0.35, 0.35], [0.45, 1, 0.45, 0.6]),
+    }
+    for name, (plain, highlight) in colours.items():
+        if name != "self":  # the skin makes that one, with its picture
+            spec.add_material(name=name, rgba=plain)
+        spec.add_material(name=f"{name}_default", rgba=plain)
+        spec.add_material(name=f"{name}_highlight", rgba=highlight)
+    spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        pos=[0, 0, -FLOOR_DEPTH],
+        size=[0, 0, 1],
+        material="grid",
+        contype=0,
+        conaffinity=0,
+        group=DECOR_GROUP,
+    )
+    spec.worldbody.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_FIXED,
+        pos=[0, 0, 20],
+        dir=[0.25, 0.2, -1],
+        diffuse=[0.75, 0.75, 0.7],
+        specular=[0.25, 0.25, 0.25],
+        castshadow=True,
+    )
