@@ -18,8 +18,8 @@ typedef struct {
   int rp, kp, nf, np, ns;                    /* padded: modes, basis + 1, features, patches, surface */
   double mass, radius;                       /* kg; bound of |y| at rest, m */
   const double *stiffness;                   /* rp */
-  const double *features;                    /* (9 n_samples) x rp: q -> skew 3, strain 6 */
-  const double *weights_t;                   /* nf x kp: transposed weights, column 0 is zero */
+  const double *features;                    /* 9 x r x samples: q -> skew 3, strain 6 */
+  const double *weights_t;                   /* nf (9 x samples) x kp: transposed weights, column 0 is zero */
   const double *weights;                     /* kp x nf */
   const double *moments;                     /* kp(b) x 9(i,j) x kp(a): S_ab */
   const double *trace;                       /* kp: tr S_0a */
@@ -35,8 +35,8 @@ int body_view(Body* b, const double* blob, size_t n);
 typedef struct {
   double c[3], quat[4], R[9];
   const double* q;
-  double *zeta;  /* kp: (1, z) */
-  double *dz;    /* rp x kp: dz/dq, row per mode */
+  double *zeta; /* kp: (1, z) */
+  double *dz;   /* r x kp: dz/dq; right behind zeta */
 } Config;
 
 /* --- 3-vectors and rotations, matrices row-major */
@@ -109,17 +109,58 @@ static inline void so3_left_jacobian(const double* w, int inverse, double* J) {
       J[3 * i + j] = (i == j ? 1 - b * t2 : 0) + a * W[3 * i + j] + b * w[i] * w[j];
 }
 
+/* --- out (m x n) = A B: A_ik = a[i row + k col], B (inner x n) and out with rows n apart, n a
+ * multiple of 8. Sums are kept in registers: this is where a step spends its time. */
+typedef double Vec __attribute__((vector_size(64), may_alias));
+typedef Vec AnyVec __attribute__((aligned(8))); /* as Vec, anywhere in memory */
+
+static inline __attribute__((always_inline)) void multiply_block(int rows, int vecs, const double* a, int row,
+                                                                 int col, const double* b, int inner, int n,
+                                                                 double* out) {
+  Vec sums[6][2];
+  for (int i = 0; i < rows; i++)
+    for (int v = 0; v < vecs; v++) sums[i][v] = (Vec){0};
+  for (int k = 0; k < inner; k++) {
+    Vec line[2];
+    for (int v = 0; v < vecs; v++) line[v] = *(const AnyVec*)(b + (size_t)k * n + 8 * v);
+    for (int i = 0; i < rows; i++)
+      for (int v = 0; v < vecs; v++) sums[i][v] += a[(size_t)i * row + (size_t)k * col] * line[v];
+  }
+  for (int i = 0; i < rows; i++)
+    for (int v = 0; v < vecs; v++) *(AnyVec*)(out + (size_t)i * n + 8 * v) = sums[i][v];
+}
+static inline void multiply(int m, const double* a, int row, int col, const double* b, int inner, int n,
+                            double* out) {
+  for (int i = 0; i < m;) {
+    const int rows = m - i > 6 ? 5 : m - i;
+    for (int j = 0; j < n;) {
+      const int vecs = n - j >= 16 ? 2 : 1;
+      const double *A = a + (size_t)i * row, *B = b + j;
+      double* o = out + (size_t)i * n + j;
+      switch (2 * rows + vecs) { /* constant arguments: the loops unroll */
+#define BLOCK(R) \
+  case 2 * R + 1: multiply_block(R, 1, A, row, col, B, inner, n, o); break; \
+  case 2 * R + 2: multiply_block(R, 2, A, row, col, B, inner, n, o); break;
+        BLOCK(1) BLOCK(2) BLOCK(3) BLOCK(4) BLOCK(5) BLOCK(6)
+#undef BLOCK
+      }
+      j += 8 * vecs;
+    }
+    i += rows;
+  }
+}
+
 /* --- rotation-strain coordinates (kinematics.c) */
-/* zeta(q), and dz (rp x kp) with its feature derivatives if dz is not NULL. `scratch` holds
+/* zeta(q), kp, and behind it dz/dq, r x kp, if `derivatives`. `scratch` holds
  * kinematics_scratch(b) doubles and is read again by kinematics_curvature. */
 size_t kinematics_scratch(const Body* b);
-void kinematics(const Body* b, const double* q, double* zeta, double* dz, double* scratch);
-/* hess (rp x rp) += sum_a grad[a] d2 zeta_a / dq2, after kinematics with dz at the same q */
+void kinematics(const Body* b, const double* q, int derivatives, double* zeta, double* scratch);
+/* hess (r x rp) += sum_a grad[a] d2 zeta_a / dq2, after kinematics with derivatives at the same q */
 void kinematics_curvature(const Body* b, const double* grad, double* scratch, double* hess);
 /* out (9 x kp): P_a(zeta)_ij = sum_b S_ab,ij zeta_b */
 void moments_apply(const Body* b, const double* zeta, double* out);
-/* out (3 x n): sum_a zeta_a field[a][i][s] for a field kp x 3 x n */
-void field_apply(const double* field, const double* zeta, int count, int n, double* out);
-/* out[a] += sum_i,s field[a][i][s] v[i][s], a < count */
-void field_transpose(const double* field, const double* v, int count, int n, double* out);
+/* out (m x 3 x n): sum_a zeta_ma field[a][i][s], a <= k, for a field kp x 3 x n */
+void field_apply(const Body* b, const double* field, int m, const double* zeta, int n, double* out);
+/* out[a] += sum_i,s field[a][i][s] v[i][s], a <= k */
+void field_transpose(const Body* b, const double* field, const double* v, int n, double* out);
 #endif

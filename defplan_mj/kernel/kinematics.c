@@ -14,12 +14,12 @@ int body_view(Body* b, const double* blob, size_t n) {
   if (b->r < 1 || b->r > DP_MAX_MODES || b->k < 1 || b->k > DP_MAX_BASIS) return -4;
   if (b->n_samples < 1 || b->n_samples > DP_MAX_SAMPLES) return -4;
   if (b->n_patches < 0 || b->n_patches > DP_MAX_POINTS || b->n_surface < 0) return -4;
-  b->rp = padded(b->r), b->kp = padded(b->k + 1), b->nf = padded(9 * b->n_samples);
+  b->rp = padded(b->r), b->kp = padded(b->k + 1), b->nf = 9 * padded(b->n_samples);
   b->np = padded(b->n_patches), b->ns = padded(b->n_surface);
   const double* p = blob + HEADER;
   size_t kp = b->kp;
   b->stiffness = p, p += b->rp;
-  b->features = p, p += (size_t)9 * b->n_samples * b->rp;
+  b->features = p, p += (size_t)b->nf * b->r;
   b->weights_t = p, p += b->nf * kp;
   b->weights = p, p += kp * b->nf;
   b->moments = p, p += kp * 9 * kp;
@@ -41,12 +41,8 @@ void dp_sizes(const double* blob, int sizes[4]) {
   for (int i = 0; i < 4; i++) sizes[i] = (int)blob[i < 2 ? 3 + i : 4 + i];
 }
 
-/* Coefficients of exp([w]) = I + a [w] + b [w]^2 as functions of T = |w|^2; a1 = 2 da/dT and
+/* Coefficients of exp([w]) = I + a [w] + b [w]^2 as functions of T = |w|^2, and a1 = 2 da/dT,
  * a2 = 2 da1/dT, likewise b, so that da/dw = a1 w. */
-typedef struct {
-  double a, b, a1, b1, a2, b2;
-} ExpCoef;
-
 static const double EXP_SERIES[6][7] = {
     {1., -1. / 6., 1. / 120., -1. / 5040., 1. / 362880., -1. / 39916800., 1. / 6227020800.}, /* a */
     {1. / 2., -1. / 24., 1. / 720., -1. / 40320., 1. / 3628800., -1. / 479001600., 1. / 87178291200.}, /* b */
@@ -56,176 +52,159 @@ static const double EXP_SERIES[6][7] = {
     {1. / 90., -1. / 1680., 1. / 75600., -1. / 5987520., 1. / 726485760., -1. / 124540416000., 1. / 28582025472000.}, /* b2 */
 };
 
-static ExpCoef exp_coef(double t2) {
-  ExpCoef c;
+/* out[0], out[8], ...: a, b, a1, b1, a2, b2, each in a lane of its vector */
+static void exp_coef(double t2, double* out) {
+  double s[6] = {0};
   if (t2 < .25) { /* series: the closed forms lose digits near zero */
-    double s[6] = {0};
     for (int i = 6; i >= 0; i--)
       for (int j = 0; j < 6; j++) s[j] = s[j] * t2 + EXP_SERIES[j][i];
-    c = (ExpCoef){s[0], s[1], s[2], s[3], s[4], s[5]};
   } else {
-    double t = sqrt(t2), cs = cos(t);
-    c.a = sin(t) / t, c.b = (1 - cs) / t2;
-    c.a1 = (cs - c.a) / t2, c.b1 = (c.a - 2 * c.b) / t2;
-    c.a2 = -(c.a + 3 * c.a1) / t2, c.b2 = (c.a1 - 4 * c.b1) / t2;
+    const double t = sqrt(t2), cs = cos(t);
+    s[0] = sin(t) / t, s[1] = (1 - cs) / t2;
+    s[2] = (cs - s[0]) / t2, s[3] = (s[0] - 2 * s[1]) / t2;
+    s[4] = -(s[0] + 3 * s[2]) / t2, s[5] = (s[2] - 4 * s[3]) / t2;
   }
-  return c;
+  for (int j = 0; j < 6; j++) out[PAD * j] = s[j];
 }
 
-/* Layout of the scratch: x (9 a sample), D = dexp/dw (27), E = exp (9), coefficients (6),
- * features f (nf), their derivatives (nf x rp), and for the curvature A (nf). */
-enum { PER_SAMPLE = 9 + 27 + 9 + 6 };
+/* Samples are worked on eight at a time: every quantity below is a vector over a block of eight.
+ * The scratch keeps, a block: x (9), D = dexp/dw (27), E = exp (9), coefficients (6); then the
+ * features f (nf), their derivatives (r x nf), and for the curvature A (nf). */
+enum { PER_BLOCK = 9 + 27 + 9 + 6 };
+
+static int n_blocks(const Body* b) { return (b->n_samples + PAD - 1) / PAD; }
+
 size_t kinematics_scratch(const Body* b) {
-  return (size_t)padded(PER_SAMPLE * b->n_samples) + b->nf * (size_t)(2 + b->rp);
+  return (size_t)PER_BLOCK * PAD * n_blocks(b) + (size_t)b->nf * (2 + b->r);
 }
 
-static void sample_strain(const double* x, double* Y) { /* I + strain, from x = (w, e11 e12 e13 e22 e23 e33) */
+static void strain_matrix(const Vec* x, Vec* Y) { /* I + strain, x = (w, e11 e12 e13 e22 e23 e33) */
   Y[0] = 1 + x[3], Y[1] = Y[3] = x[4], Y[2] = Y[6] = x[5];
   Y[4] = 1 + x[6], Y[5] = Y[7] = x[7], Y[8] = 1 + x[8];
 }
+static Vec load(const double* p) { return *(const AnyVec*)p; }
 
-void kinematics(const Body* b, const double* q, double* restrict zeta, double* restrict dz,
+void kinematics(const Body* b, const double* q, int derivatives, double* restrict zeta,
                 double* restrict scratch) {
-  const int rp = b->rp, kp = b->kp, r = b->r, nf = b->nf, m = b->n_samples;
-  double* restrict f = scratch + padded(PER_SAMPLE * m);
+  const int r = b->r, nf = b->nf, blocks = n_blocks(b), lanes = PAD * blocks;
+  double* restrict f = scratch + PER_BLOCK * lanes;
   double* restrict df = f + nf;
-  for (int e = 0; e < m; e++) {
-    const double* restrict L = b->features + (size_t)9 * e * rp;
-    double* restrict x = scratch + PER_SAMPLE * e;
-    double* restrict D = x + 9;
-    double* restrict E = D + 27;
+  for (int e = 0; e < blocks; e++) {
+    const double* L = b->features + PAD * e; /* 9 x r x lanes */
+    Vec *x = (Vec*)scratch + PER_BLOCK * e, *D = x + 9, *E = D + 27, *coef = E + 9, Y[9], W[9];
     for (int i = 0; i < 9; i++) {
-      double s = 0;
-      for (int c = 0; c < r; c++) s += L[i * rp + c] * q[c];
-      x[i] = s;
+      x[i] = (Vec){0};
+      for (int c = 0; c < r; c++) x[i] += load(L + (i * r + c) * lanes) * q[c];
     }
-    double t2 = dot3(x, x), Y[9];
-    ExpCoef k = exp_coef(t2);
-    memcpy(E + 9, &k, sizeof k);
-    sample_strain(x, Y);
-    double W[9] = {0, -x[2], x[1], x[2], 0, -x[0], -x[1], x[0], 0};
+    const Vec t2 = x[0] * x[0] + x[1] * x[1] + x[2] * x[2];
+    for (int lane = 0; lane < PAD; lane++) exp_coef(t2[lane], (double*)coef + lane);
+    const Vec a = coef[0], bb = coef[1], a1 = coef[2], b1 = coef[3], zero = {0};
+    strain_matrix(x, Y);
+    W[0] = W[4] = W[8] = zero, W[1] = -x[2], W[2] = x[1], W[3] = x[2], W[5] = -x[0], W[6] = -x[1], W[7] = x[0];
+    for (int i = 0; i < 3; i++)
+      for (int j = 0; j < 3; j++) E[3 * i + j] = a * W[3 * i + j] + bb * x[i] * x[j];
+    for (int i = 0; i < 3; i++) E[4 * i] += 1 - bb * t2;
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++)
-        E[3 * i + j] = k.a * W[3 * i + j] + k.b * x[i] * x[j] + (i == j ? 1 - k.b * t2 : 0);
-    for (int i = 0; i < 3; i++)
-      for (int j = 0; j < 3; j++)
-        f[9 * e + 3 * i + j] = E[3 * i] * Y[j] + E[3 * i + 1] * Y[3 + j] + E[3 * i + 2] * Y[6 + j] - (i == j);
-    if (!dz) continue;
+        *(Vec*)(f + (3 * i + j) * lanes + PAD * e) =
+            E[3 * i] * Y[j] + E[3 * i + 1] * Y[3 + j] + E[3 * i + 2] * Y[6 + j] - (double)(i == j);
+    if (!derivatives) continue;
     for (int n = 0; n < 3; n++) { /* D_n = dE/dw_n */
-      double* restrict Dn = D + 9 * n;
+      Vec* Dn = D + 9 * n;
       for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
-          Dn[3 * i + j] = x[n] * (k.a1 * W[3 * i + j] + k.b1 * x[i] * x[j]) +
-                          (i == j ? -k.b1 * x[n] * t2 - 2 * k.b * x[n] : 0);
-      for (int j = 0; j < 3; j++) Dn[3 * n + j] += k.b * x[j], Dn[3 * j + n] += k.b * x[j];
-      int i = (n + 1) % 3, j = (n + 2) % 3;
-      Dn[3 * j + i] += k.a, Dn[3 * i + j] -= k.a;
+          Dn[3 * i + j] = x[n] * (a1 * W[3 * i + j] + b1 * x[i] * x[j]);
+      for (int i = 0; i < 3; i++) Dn[4 * i] -= x[n] * (b1 * t2 + 2 * bb);
+      for (int j = 0; j < 3; j++) Dn[3 * n + j] += bb * x[j], Dn[3 * j + n] += bb * x[j];
+      const int i = (n + 1) % 3, j = (n + 2) % 3;
+      Dn[3 * j + i] += a, Dn[3 * i + j] -= a;
     }
-    double G[81]; /* dF_ij / dx_t */
-    for (int i = 0; i < 3; i++)
-      for (int j = 0; j < 3; j++) {
-        double* g = G + 9 * (3 * i + j);
+    for (int j = 0; j < 3; j++) /* dF_ij / dq_c */
+      for (int i = 0; i < 3; i++) {
+        static const int strain_index[9] = {3, 4, 5, 4, 6, 7, 5, 7, 8}; /* of Y_lj in x */
+        Vec g[3];
         for (int n = 0; n < 3; n++)
           g[n] = D[9 * n + 3 * i] * Y[j] + D[9 * n + 3 * i + 1] * Y[3 + j] + D[9 * n + 3 * i + 2] * Y[6 + j];
-        for (int t = 3; t < 9; t++) g[t] = 0;
-        static const int strain_index[9] = {3, 4, 5, 4, 6, 7, 5, 7, 8}; /* of Y_lj */
-        for (int l = 0; l < 3; l++) g[strain_index[3 * l + j]] += E[3 * i + l];
+        for (int c = 0; c < r; c++) {
+          Vec s = zero;
+          for (int n = 0; n < 3; n++) s += g[n] * load(L + (n * r + c) * lanes);
+          for (int l = 0; l < 3; l++) s += E[3 * i + l] * load(L + (strain_index[3 * l + j] * r + c) * lanes);
+          *(Vec*)(df + (size_t)c * nf + (3 * i + j) * lanes + PAD * e) = s;
+        }
       }
-    for (int o = 0; o < 9; o++) {
-      double* restrict row = df + (size_t)(9 * e + o) * rp;
-      for (int c = 0; c < rp; c++) row[c] = 0;
-      for (int t = 0; t < 9; t++)
-        for (int c = 0; c < rp; c++) row[c] += G[9 * o + t] * L[t * rp + c];
-    }
   }
-  for (int a = 0; a < kp; a++) zeta[a] = 0;
-  for (int o = 0; o < 9 * m; o++)
-    for (int a = 0; a < kp; a++) zeta[a] += f[o] * b->weights_t[(size_t)o * kp + a];
+  multiply(derivatives ? 1 + r : 1, f, nf, 1, b->weights_t, nf, b->kp, zeta);
   zeta[0] = 1;
-  if (!dz) return;
-  for (int c = 0; c < r; c++) {
-    double* restrict row = dz + (size_t)c * kp;
-    for (int a = 0; a < kp; a++) row[a] = 0;
-    for (int o = 0; o < 9 * m; o++)
-      for (int a = 0; a < kp; a++) row[a] += df[(size_t)o * rp + c] * b->weights_t[(size_t)o * kp + a];
-  }
 }
 
 void kinematics_curvature(const Body* b, const double* grad, double* restrict scratch,
                           double* restrict hess) {
-  const int rp = b->rp, kp = b->kp, r = b->r, nf = b->nf, m = b->n_samples;
-  double* restrict As = scratch + padded(PER_SAMPLE * m) + nf + (size_t)nf * rp;
-  for (int o = 0; o < nf; o++) As[o] = 0;
-  for (int a = 1; a < kp; a++)
-    for (int o = 0; o < nf; o++) As[o] += grad[a] * b->weights[(size_t)a * nf + o];
-  for (int e = 0; e < m; e++) {
-    const double* restrict L = b->features + (size_t)9 * e * rp;
-    const double* x = scratch + PER_SAMPLE * e;
-    const double *D = x + 9, *A = As + 9 * e;
-    ExpCoef k;
-    memcpy(&k, x + 45, sizeof k);
-    double Y[9], AY[9], H[81] = {0};
-    sample_strain(x, Y);
+  const int rp = b->rp, r = b->r, nf = b->nf, blocks = n_blocks(b), lanes = PAD * blocks;
+  double* restrict As = scratch + PER_BLOCK * lanes + (size_t)nf * (1 + r);
+  multiply(1, grad, 0, 1, b->weights, b->k + 1, nf, As);
+  for (int e = 0; e < blocks; e++) {
+    const double* L = b->features + PAD * e;
+    const Vec *x = (const Vec*)scratch + PER_BLOCK * e, *D = x + 9, *coef = x + 45;
+    const Vec bb = coef[1], a1 = coef[2], b1 = coef[3], a2 = coef[4], b2 = coef[5], zero = {0};
+    Vec A[9], Y[9], AY[9], al[3], Bw[3], Hw[9], Hm[18]; /* second derivatives: w w (3 x 3), w strain (3 x 6) */
+    for (int i = 0; i < 9; i++) A[i] = load(As + i * lanes + PAD * e);
+    strain_matrix(x, Y);
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++)
         AY[3 * i + j] = A[3 * i] * Y[3 * j] + A[3 * i + 1] * Y[3 * j + 1] + A[3 * i + 2] * Y[3 * j + 2];
-    /* Hessian of <AY, exp[w]> in w */
-    double tr = AY[0] + AY[4] + AY[8], al[3], Bw[3];
-    vee(AY, al);
+    const Vec tr = AY[0] + AY[4] + AY[8];
+    al[0] = AY[7] - AY[5], al[1] = AY[2] - AY[6], al[2] = AY[3] - AY[1];
     for (int i = 0; i < 3; i++) {
       Bw[i] = -2 * tr * x[i];
       for (int j = 0; j < 3; j++) Bw[i] += (AY[3 * i + j] + AY[3 * j + i]) * x[j];
     }
-    double aw = dot3(al, x), qf = .5 * dot3(Bw, x);
-    for (int i = 0; i < 3; i++) {
+    const Vec aw = al[0] * x[0] + al[1] * x[1] + al[2] * x[2];
+    const Vec qf = .5 * (Bw[0] * x[0] + Bw[1] * x[1] + Bw[2] * x[2]);
+    for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++)
-        H[9 * i + j] = (k.a2 * aw + k.b2 * qf) * x[i] * x[j] + k.a1 * (x[i] * al[j] + al[i] * x[j]) +
-                       k.b1 * (x[i] * Bw[j] + Bw[i] * x[j]) + k.b * (AY[3 * i + j] + AY[3 * j + i]);
-      H[9 * i + i] += k.a1 * aw + k.b1 * qf - 2 * k.b * tr;
-    }
+        Hw[3 * i + j] = (a2 * aw + b2 * qf) * x[i] * x[j] + a1 * (x[i] * al[j] + al[i] * x[j]) +
+                        b1 * (x[i] * Bw[j] + Bw[i] * x[j]) + bb * (AY[3 * i + j] + AY[3 * j + i]);
+    for (int i = 0; i < 3; i++) Hw[4 * i] += a1 * aw + b1 * qf - 2 * bb * tr;
     for (int n = 0; n < 3; n++) { /* mixed: <A, D_n dY> */
-      double N[9];
+      Vec N[9], *h = Hm + 6 * n;
       for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
           N[3 * i + j] = D[9 * n + i] * A[j] + D[9 * n + 3 + i] * A[3 + j] + D[9 * n + 6 + i] * A[6 + j];
-      double v[6] = {N[0], N[1] + N[3], N[2] + N[6], N[4], N[5] + N[7], N[8]};
-      for (int t = 0; t < 6; t++) H[9 * n + 3 + t] = H[9 * (3 + t) + n] = v[t];
+      h[0] = N[0], h[1] = N[1] + N[3], h[2] = N[2] + N[6], h[3] = N[4], h[4] = N[5] + N[7], h[5] = N[8];
     }
-    double T[9 * DP_MAX_MODES];
-    for (int i = 0; i < 9; i++) {
-      double* restrict row = T + i * rp;
-      for (int c = 0; c < rp; c++) row[c] = 0;
-      for (int j = 0; j < (i < 3 ? 9 : 3); j++)
-        for (int c = 0; c < rp; c++) row[c] += H[9 * i + j] * L[j * rp + c];
+    for (int c = 0; c < r; c++) {
+      Vec T[9]; /* second derivatives times column c */
+      for (int i = 0; i < 9; i++) T[i] = zero;
+      for (int n = 0; n < 3; n++) {
+        const Vec Ln = load(L + (n * r + c) * lanes);
+        for (int i = 0; i < 3; i++) T[i] += Hw[3 * i + n] * Ln;
+        for (int t = 0; t < 6; t++) {
+          T[n] += Hm[6 * n + t] * load(L + ((3 + t) * r + c) * lanes);
+          T[3 + t] += Hm[6 * n + t] * Ln;
+        }
+      }
+      for (int d = c; d < r; d++) {
+        Vec s = zero;
+        for (int i = 0; i < 9; i++) s += T[i] * load(L + (i * r + d) * lanes);
+        double total = 0;
+        for (int lane = 0; lane < PAD; lane++) total += s[lane];
+        hess[c * rp + d] += total;
+      }
     }
-    for (int c = 0; c < r; c++)
-      for (int i = 0; i < 9; i++)
-        for (int d = 0; d < rp; d++) hess[c * rp + d] += L[i * rp + c] * T[i * rp + d];
   }
 }
 
 void moments_apply(const Body* b, const double* zeta, double* restrict out) {
-  const int n = 9 * b->kp;
-  for (int i = 0; i < n; i++) out[i] = 0;
-  for (int a = 0; a <= b->k; a++) {
-    const double z = zeta[a];
-    const double* restrict row = b->moments + (size_t)a * n;
-    for (int i = 0; i < n; i++) out[i] += z * row[i];
-  }
+  multiply(1, zeta, 0, 1, b->moments, b->k + 1, 9 * b->kp, out);
 }
 
-void field_apply(const double* field, const double* zeta, int count, int n, double* restrict out) {
-  for (int i = 0; i < 3 * n; i++) out[i] = 0;
-  for (int a = 0; a < count; a++) {
-    const double z = zeta[a];
-    const double* restrict row = field + (size_t)a * 3 * n;
-    for (int i = 0; i < 3 * n; i++) out[i] += z * row[i];
-  }
+void field_apply(const Body* b, const double* field, int m, const double* zeta, int n, double* restrict out) {
+  multiply(m, zeta, b->kp, 1, field, b->k + 1, 3 * n, out);
 }
 
-void field_transpose(const double* field, const double* restrict v, int count, int n,
+void field_transpose(const Body* b, const double* field, const double* restrict v, int n,
                      double* restrict out) {
-  for (int a = 0; a < count; a++) {
+  for (int a = 0; a <= b->k; a++) {
     const double* restrict row = field + (size_t)a * 3 * n;
     double s = 0;
     for (int i = 0; i < 3 * n; i++) s += row[i] * v[i];

@@ -34,8 +34,10 @@ def pack_body(body: Body) -> np.ndarray:
     for name, size in sizes.items():
         if size > LIMITS[name]:
             raise DefplanError(f"the body has {size} {name}, the kernel takes at most {LIMITS[name]}")
-    weights = np.zeros((body.n_basis + 1, 9 * n_samples))
-    weights[1:] = body.feature_weights
+    # samples innermost: the kernel works on eight at a time
+    weights = np.zeros((body.n_basis + 1, 9, n_samples))
+    weights[1:] = body.feature_weights.reshape(-1, n_samples, 9).transpose(0, 2, 1)
+    weights = _pad(_pad(weights, 2), 0).reshape(-(-(body.n_basis + 1) // PAD) * PAD, -1)
     trace = np.einsum("aii->a", body.moments[0])
     # zeta^T tr(S) zeta with an orthonormal basis: S_00 + 2 sum_a S_0a z_a + |z|^2; entry 0 completes z_0 = 1.
     orthonormality = np.abs(np.einsum("abii->ab", body.moments)[1:, 1:] - np.eye(body.n_basis)).max()
@@ -43,12 +45,11 @@ def pack_body(body: Body) -> np.ndarray:
         raise DefplanError(f"the displacement basis is not mass-orthonormal (error {orthonormality:.1e})")
     trace[0] = 0.5 * (trace[0] - 1.0)
     surface = np.concatenate([body.vertices[body.surface][:, :, None], body.basis[body.surface]], axis=2)
-    padded_weights = _pad(_pad(weights, 0), 1)
     sections = [
         _pad(body.stiffness, 0),
-        _pad(body.feature_map.reshape(9 * n_samples, r), 1),
-        padded_weights.T,
-        padded_weights,
+        _pad(body.feature_map.transpose(1, 2, 0), 2),
+        weights.T,
+        weights,
         _pad(_pad(body.moments.transpose(1, 2, 3, 0), 3), 0),  # (b, i, j, a)
         _pad(trace, 0),
         _field(body.patch_points),

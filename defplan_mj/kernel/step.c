@@ -36,31 +36,31 @@ typedef struct {
   double *scratch, *scratch_lagged; /* kinematics */
   double *P, *W;                    /* 9 x kp */
   double *before, *area, *cn, *ct;  /* 3 np, 3 np, np, np: lagged drag quantities */
-  double *body_points, *w, *f, *D;  /* 3 np, 3 np, 3 np, 6 np */
+  double *body_points, *w, *f, *D;  /* r x 3 np, 3 np, 3 np, 6 np */
   double *Jq, *DJ;                  /* r x 3 np */
   double *gzeta, *Wg;               /* kp, 9 x kp */
   double energy, g[MAX_N], H[MAX_N * MAX_N];
 } Work;
 
 static size_t work_size(const Body* b) {
-  size_t kp = b->kp, np = b->np, rp = b->rp, r = b->r, k3 = kinematics_scratch(b);
-  return PAD + 3 * (kp + rp * kp) + 2 * (k3 + PAD) + 9 * kp * 2 + 3 * np * 2 + 2 * np + 3 * np * 3 + 6 * np +
+  size_t kp = b->kp, np = b->np, r = b->r, k3 = kinematics_scratch(b);
+  return PAD + 3 * (1 + r) * kp + 2 * (k3 + PAD) + 9 * kp * 2 + 3 * np * 2 + 2 * np + 3 * np * (2 + r) + 6 * np +
          2 * (r * 3 * np) + kp + 9 * kp;
 }
 
 static void work_init(Work* w, double* memory, const Body* b, const double* par, const double* u) {
   Arena arena = {(double*)(((size_t)memory + 63) / 64 * 64)};
-  size_t kp = b->kp, np = b->np, rp = b->rp;
+  size_t kp = b->kp, np = b->np, r = b->r;
   w->body = b, w->par = par, w->u = u;
   Config* all[3] = {&w->now, &w->one, &w->two};
-  for (int i = 0; i < 3; i++) all[i]->zeta = take(&arena, kp), all[i]->dz = take(&arena, rp * kp);
+  for (int i = 0; i < 3; i++) all[i]->zeta = take(&arena, (1 + r) * kp), all[i]->dz = all[i]->zeta + kp;
   w->scratch = take(&arena, kinematics_scratch(b)), w->scratch_lagged = take(&arena, kinematics_scratch(b));
   w->P = take(&arena, 9 * kp), w->W = take(&arena, 9 * kp);
   w->before = take(&arena, 3 * np), w->area = take(&arena, 3 * np);
   w->cn = take(&arena, np), w->ct = take(&arena, np);
-  w->body_points = take(&arena, 3 * np), w->w = take(&arena, 3 * np), w->f = take(&arena, 3 * np);
+  w->body_points = take(&arena, r * 3 * np), w->w = take(&arena, 3 * np), w->f = take(&arena, 3 * np);
   w->D = take(&arena, 6 * np);
-  w->Jq = take(&arena, b->r * 3 * np), w->DJ = take(&arena, b->r * 3 * np);
+  w->Jq = take(&arena, r * 3 * np), w->DJ = take(&arena, r * 3 * np);
   w->gzeta = take(&arena, kp), w->Wg = take(&arena, 9 * kp);
 }
 #define WORK(w, b, par, u)              \
@@ -128,7 +128,7 @@ static void prepare(Work* w, int derivatives) {
   for (int t = 0; t < 2; t++) {
     Config* cfg = t ? &w->two : &w->one;
     const double factor = (t ? -1 : 2) * ih2;
-    kinematics(b, cfg->q, cfg->zeta, derivatives ? cfg->dz : NULL, w->scratch_lagged);
+    kinematics(b, cfg->q, derivatives, cfg->zeta, w->scratch_lagged);
     moments_apply(b, cfg->zeta, w->P);
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++) {
@@ -146,13 +146,12 @@ static void prepare(Work* w, int derivatives) {
 
   /* patch centres and area vectors of the last configuration */
   double *t1 = w->Jq, *t2 = w->DJ; /* not yet in use */
-  if (b->r < 1) return;
-  field_apply(b->points, w->one.zeta, b->k + 1, np, w->body_points);
+  field_apply(b, b->points, 1, w->one.zeta, np, w->body_points);
   rotate(w->one.R, w->body_points, np, w->before);
   for (int i = 0; i < 3; i++)
     for (int s = 0; s < np; s++) w->before[i * np + s] += w->one.c[i];
-  field_apply(b->tangent1, w->one.zeta, b->k + 1, np, t1);
-  field_apply(b->tangent2, w->one.zeta, b->k + 1, np, t2);
+  field_apply(b, b->tangent1, 1, w->one.zeta, np, t1);
+  field_apply(b, b->tangent2, 1, w->one.zeta, np, t2);
   double *restrict n = w->f, *restrict area = w->area;
   for (int s = 0; s < np; s++) {
     n[s] = b->areas[s] * (t1[np + s] * t2[2 * np + s] - t1[2 * np + s] * t2[np + s]);
@@ -204,10 +203,10 @@ static void apply_drag_matrix(const double* restrict D, const double* restrict v
 /* Energy, gradient and Hessian at the iterate w->now, in (c, t, q) with R = exp([t]) R_now. */
 static void assemble(Work* w) {
   const Body* b = w->body;
-  const int r = b->r, kp = b->kp, rp = b->rp, np = b->np, n = 6 + r, k1 = b->k + 1;
+  const int r = b->r, kp = b->kp, rp = b->rp, np = b->np, n = 6 + r;
   const double h = w->par[DP_TIMESTEP], ih2 = 1 / (h * h), *R = w->now.R;
   double *g = w->g, *H = w->H, *zeta = w->now.zeta, *dz = w->now.dz, e = 0;
-  kinematics(b, w->now.q, zeta, dz, w->scratch);
+  kinematics(b, w->now.q, 1, zeta, w->scratch);
   memset(H, 0, sizeof(double) * n * n);
 
   /* inertia; trace: 0, 1 x 1 block (1, z): S_00, S_0a, identity */
@@ -222,7 +221,6 @@ static void assemble(Work* w) {
     skew_mul(axis, R, Rw[m]);
   }
   double* restrict turn[3] = {w->Wg, w->Wg + kp, w->Wg + 2 * kp}; /* d2 E / dt dzeta, inertia */
-  double z2 = 0;
   for (int a = 0; a < kp; a++) {
     double s = 0, t0 = 0, t1 = 0, t2 = 0;
     for (int i = 0; i < 9; i++) {
@@ -232,7 +230,6 @@ static void assemble(Work* w) {
     gz[a] = ih2 * (b->trace[a] + zeta[a]) - s, turn[0][a] = -t0, turn[1][a] = -t1, turn[2][a] = -t2;
     e += .5 * ih2 * (2 * b->trace[a] + zeta[a]) * zeta[a] - s * zeta[a];
   }
-  (void)z2;
   double N[9]; /* sum_a zeta_a W_a R^T, then the point forces' part */
   double Wz[9];
   for (int i = 0; i < 9; i++) Wz[i] = inner(w->W + i * kp, zeta, kp);
@@ -253,7 +250,7 @@ static void assemble(Work* w) {
   }
 
   if (np && w->par[DP_FLUID_DENSITY] != 0) {
-    field_apply(b->points, zeta, k1, np, w->body_points);
+    field_apply(b, b->points, 1, zeta, np, w->body_points);
     rotate(R, w->body_points, np, w->w);
     e += drag(w);
     const double *restrict D = w->D, *restrict p = w->w, *restrict f = w->f;
@@ -263,7 +260,7 @@ static void assemble(Work* w) {
     for (int i = 0; i < 3; i++) g[3 + i] -= torque[i];
     rotate_back(R, f, np, back);
     for (int s = 0; s < 3 * np; s++) back[s] = -back[s];
-    field_transpose(b->points, back, k1, np, gz);
+    field_transpose(b, b->points, back, np, gz);
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++) N[3 * i + j] += inner(f + i * np, p + j * np, np);
     /* columns: translation, rotation t x p, modes R B dz; H += J^T D J */
@@ -282,10 +279,10 @@ static void assemble(Work* w) {
       for (int i = 0; i < 3; i++) H[i * n + 3 + m] += sum(DJ + i * np, np);
       for (int i = 0; i <= m; i++) H[(3 + i) * n + 3 + m] += torque_row[i];
     }
+    field_apply(b, b->points, r, dz, np, w->body_points);
     for (int c = 0; c < r; c++) {
       double *Jc = w->Jq + c * 3 * np, *DJc = w->DJ + c * 3 * np;
-      field_apply(b->points, dz + c * kp, k1, np, w->body_points);
-      rotate(R, w->body_points, np, Jc);
+      rotate(R, w->body_points + c * 3 * np, np, Jc);
       apply_drag_matrix(D, Jc, np, DJc);
       double torque_row[3], bend[3];
       sum_cross(p, DJc, np, torque_row), sum_cross(Jc, f, np, bend);
@@ -456,7 +453,7 @@ int dp_rollout(const double* blob, const double* par, int N, const double* u, do
  * one before (both in world tangent coordinates) and u; after assemble at the solution. */
 static void mixed(Work* w, const double* lambda, double* a1, double* a2, double* au) {
   const Body* b = w->body;
-  const int r = b->r, kp = b->kp, np = b->np, k1 = b->k + 1;
+  const int r = b->r, kp = b->kp, np = b->np;
   const double h = w->par[DP_TIMESTEP], ih2 = 1 / (h * h);
   double* dz = w->gzeta; /* motion of zeta along lambda */
   for (int a = 0; a < kp; a++) dz[a] = 0;
@@ -498,7 +495,7 @@ static void mixed(Work* w, const double* lambda, double* a1, double* a2, double*
       const double *a = w->area, *p = w->w, *p0 = w->before, ih = 1 / h, *R = cfg->R;
       double *restrict dp = w->body_points, *restrict gp = w->f, *restrict ga = w->DJ;
       double* yd = w->D; /* the Hessian is done with it */
-      field_apply(b->points, dz, k1, np, yd);
+      field_apply(b, b->points, 1, dz, np, yd);
       rotate(w->now.R, yd, np, dp);
       const double* l = lambda;
       for (int s = 0; s < np; s++) {
@@ -531,20 +528,20 @@ static void mixed(Work* w, const double* lambda, double* a1, double* a2, double*
       for (int i = 0; i < 3; i++) out[3 + i] += turn[i];
       double* local = w->D;
       rotate_back(R, gp, np, local);
-      field_transpose(b->points, local, k1, np, gz);
+      field_transpose(b, b->points, local, np, gz);
       /* area vector A0 R (t1 x t2): d/dt1 = A0 t2 x R^T g, d/dt2 = A0 R^T g x t1 */
-      double *t1 = w->body_points, *t2 = w->f, *gt = w->DJ + 0;
+      double *t1 = w->body_points, *t2 = w->f, *gt = w->DJ;
       rotate_back(R, ga, np, local);
-      field_apply(b->tangent1, cfg->zeta, k1, np, t1);
-      field_apply(b->tangent2, cfg->zeta, k1, np, t2);
+      field_apply(b, b->tangent1, 1, cfg->zeta, np, t1);
+      field_apply(b, b->tangent2, 1, cfg->zeta, np, t2);
       for (int s = 0; s < np; s++) {
         double A0 = b->areas[s], g[3], x1[3], x2[3], o1[3], o2[3];
         for (int i = 0; i < 3; i++) g[i] = A0 * local[i * np + s], x1[i] = t1[i * np + s], x2[i] = t2[i * np + s];
         cross3(x2, g, o1), cross3(g, x1, o2);
         for (int i = 0; i < 3; i++) gt[i * np + s] = o1[i], t1[i * np + s] = o2[i];
       }
-      field_transpose(b->tangent1, gt, k1, np, gz);
-      field_transpose(b->tangent2, t1, k1, np, gz);
+      field_transpose(b, b->tangent1, gt, np, gz);
+      field_transpose(b, b->tangent2, t1, np, gz);
     }
     for (int c = 0; c < r; c++) out[6 + c] = inner(cfg->dz + c * kp, gz, kp);
   }
@@ -692,8 +689,8 @@ void dp_energy(const double* blob, const double* par, const double* x, double ou
   unpack(&w, x);
   const int kp = b.kp;
   const double h = par[DP_TIMESTEP], ih = 1 / h, *v = x + 7 + b.r;
-  kinematics(&b, w.one.q, w.one.zeta, NULL, w.scratch);
-  kinematics(&b, w.two.q, w.two.zeta, NULL, w.scratch);
+  kinematics(&b, w.one.q, 0, w.one.zeta, w.scratch);
+  kinematics(&b, w.two.q, 0, w.two.zeta, w.scratch);
   /* N = sum_v m_v (R_1 y_1) (R_2 y_2)^T */
   double N[9], Q[9], RQ[9];
   moments_apply(&b, w.two.zeta, w.P); /* P_a,ij = sum_v m Phi_a,i y_2,j */
@@ -725,7 +722,7 @@ void dp_surface(const double* blob, const double* qpos, double* points) {
   double quat[4], R[9];
   memcpy(quat, qpos + 3, sizeof quat);
   quat_normalize(quat), quat_matrix(quat, R);
-  kinematics(&b, qpos + 7, w.one.zeta, NULL, w.scratch);
+  kinematics(&b, qpos + 7, 0, w.one.zeta, w.scratch);
   const int n = b.ns;
   for (int from = 0; from < n; from += 64) { /* blocks bound the memory on the stack */
     const int count = n - from < 64 ? n - from : 64;
