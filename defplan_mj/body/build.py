@@ -15,6 +15,7 @@ from defplan_mj.body.reduction import reduce_shapes
 from defplan_mj.body.rotation_strain import RotationStrain, feature_map
 from defplan_mj.body.surface import Surface, load_mesh
 from defplan_mj.body.tetmesh import TetMesh, boundary, lumped_mass, quality, volumes
+from defplan_mj.errors import DefplanError
 from defplan_mj.task import BodyOptions, Progress, no_progress
 
 _ROTATION, _STRAIN = 1.0, 0.4  # what q = 1 is about: rad of rotation, or strain
@@ -34,9 +35,37 @@ def mode_scales(features: np.ndarray) -> np.ndarray:
     )
 
 
+def check_options(options: BodyOptions) -> None:
+    """Raise a DefplanError if an option cannot be met."""
+    ranges = {
+        "vertices": (20, 1_000_000),
+        "modes": (1, 16),
+        "basis": (1, 64),
+        "samples": (1, 40),
+        "patches": (4, 512),
+    }
+    for name, (least, most) in ranges.items():
+        value = getattr(options, name)
+        if not least <= value <= most:
+            raise DefplanError(f"{name} is {value}: it must lie between {least} and {most}")
+    material = options.material
+    for name, value in (
+        ("length", 1.0 if options.length is None else options.length),
+        ("amplitude", options.amplitude),
+        ("density", material.density),
+        ("Young's modulus", material.youngs_modulus),
+    ):
+        if not 0.0 < value < np.inf:
+            raise DefplanError(f"{name} is {value}: it must be positive")
+    if not -1.0 < material.poissons_ratio < 0.5:
+        raise DefplanError(
+            f"Poisson's ratio is {material.poissons_ratio}: it must lie between -1 and 0.5"
+        )
+
+
 def build_body(
     mesh_path: str | Path,
-    options: BodyOptions = BodyOptions(),
+    options: BodyOptions | None = None,
     progress: Progress = no_progress,
     name: str | None = None,
 ) -> Body:
@@ -44,18 +73,21 @@ def build_body(
 
     Args:
         mesh_path: a closed surface (what trimesh reads) or a tetrahedral mesh (what meshio reads).
-        options: see `BodyOptions`.
+        options: see `BodyOptions`; the defaults if not given.
         name: of the body; the file's stem if not given.
 
     Raises:
         DefplanError: the mesh cannot be used; the sentence says why and what mends it.
     """
+    options = options or BodyOptions()
+    check_options(options)
     progress("reading the mesh", 0.0)
     loaded = load_mesh(mesh_path, options.length)
     source: dict = {"mesh": Path(mesh_path).name, "options": asdict(options)}
     if isinstance(loaded, Surface):
         progress("filling it with tetrahedra", 0.05)
-        mesh = fill(loaded, options.vertices)
+        mesh, cell = fill(loaded, options.vertices, str(mesh_path))
+        source["cell"] = cell.tolist()
         source["volume_error"] = float(
             volumes(mesh.vertices, mesh.tetrahedra).sum() / loaded.volume - 1
         )

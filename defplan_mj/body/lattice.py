@@ -96,10 +96,7 @@ def crossings(
     face = np.repeat(np.arange(len(faces)), count)
     rank = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
     line = np.stack([rank // size[face, 1], rank % size[face, 1]], axis=1) + low[face]
-    if direction in AXES:
-        real = (line[:, 0] - line[:, 1]) % 2 == 0
-    else:
-        real = (line % 2 == 0).all(1)
+    real = (line[:, 0] - line[:, 1]) % 2 == 0 if direction in AXES else (line % 2 == 0).all(1)
     face, line = face[real], line[real]
 
     side = np.empty((len(face), 3))

@@ -14,12 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from defplan_mj.body import lattice
-from defplan_mj.body.tetmesh import TetMesh, compact, quality, volumes
+from defplan_mj.body.fitting import fit_boundary
+from defplan_mj.body.surface import Surface
+from defplan_mj.body.tetmesh import TetMesh, compact, face_pieces, quality, volumes
 from defplan_mj.errors import DefplanError
 
 # Shares of an edge within which a crossing pulls the lattice point onto the surface
 # (Labelle and Shewchuk, table 1: every dihedral angle then stays above 10.7 degrees).
 _SNAP_LONG, _SNAP_SHORT = 0.24999, 0.41189
+_COMPRESSIONS = (0.85, 0.7)  # of the lattice along one axis
+_FLATNESS = 0.05  # volume error that a loss of mean quality by 1 weighs as much as
+_MOST_LOST = 0.1  # share of the volume
 
 
 @dataclass(frozen=True)
@@ -99,11 +104,8 @@ def stuff(vertices: np.ndarray, faces: np.ndarray, cell: np.ndarray, centre: np.
     for own, other, share in ((inner, outer, fraction), (outer, inner, 1.0 - fraction)):
         near = (share < reach) & (sign[own] != 0) & (sign[other] != 0)
         candidates = np.flatnonzero(near)
-        order = candidates[
-            np.lexsort(
-                (share[candidates] * np.where(long, 2.0, 3.0**0.5)[candidates], own[candidates])
-            )
-        ]
+        distance = share[candidates] * np.where(long[candidates], 2.0, 3.0**0.5)
+        order = candidates[np.lexsort((distance, own[candidates]))]
         moved, nearest = np.unique(own[order], return_index=True)
         place[moved] = crossing[order[nearest]]
         sign[moved] = 0
@@ -123,8 +125,16 @@ def stuff(vertices: np.ndarray, faces: np.ndarray, cell: np.ndarray, centre: np.
     size = volumes(everything, tetrahedra)
     flip = size < 0.0
     tetrahedra[flip] = tetrahedra[flip][:, [0, 2, 1, 3]]
-    mesh = compact(everything * scale + centre, tetrahedra)
-    return mesh
+    return _largest_piece(compact(everything * scale + centre, tetrahedra))
+
+
+def _largest_piece(mesh: TetMesh) -> TetMesh:
+    """Drop crumbs that hang on by less than a face."""
+    if len(mesh.tetrahedra) == 0:
+        return mesh
+    label, _ = face_pieces(mesh.tetrahedra)
+    size = np.bincount(label, volumes(mesh.vertices, mesh.tetrahedra))
+    return compact(mesh.vertices, mesh.tetrahedra[label == size.argmax()])
 
 
 def _stencils(grid: _Lattice, sign: np.ndarray, cut_point) -> list[np.ndarray]:
@@ -167,22 +177,83 @@ def _prism(top: tuple[np.ndarray, ...], bottom: tuple[np.ndarray, ...]) -> list[
     return [np.stack(t, 1) for t in ((a, d, e, f), (a, b, e, f), (a, b, c, f))]
 
 
-def fill(surface, vertices: int) -> TetMesh:
-    """Fill a surface with tetrahedra that have `vertices` vertices, within 2."""
+def fill(surface: Surface, vertices: int, name: str = "the mesh") -> tuple[TetMesh, np.ndarray]:
+    """Fill a surface with tetrahedra that have `vertices` vertices, within 2.
+
+    Of lattices compressed along one axis or none, the one is taken that keeps most volume without
+    flattening the tetrahedra much; its boundary is then fitted to the surface.
+
+    Args:
+        name: what messages call the mesh.
+
+    Returns:
+        The mesh and the (3,) edges of its lattice cell, m.
+
+    Raises:
+        DefplanError: parts of the surface are too thin for so few vertices.
+    """
+    shapes = [np.ones(3)]
+    shapes += [np.where(np.arange(3) == axis, f, 1.0) for axis in range(3) for f in _COMPRESSIONS]
+    volume = surface.volume
+    best: tuple[float, np.ndarray, float] | None = None
+    guess = (2.0 * volume / vertices) ** (1.0 / 3.0) * 1.4
+    for shape in shapes:
+        mesh, cell = _near_count(surface, shape / shape.prod() ** (1 / 3), vertices, guess)
+        if mesh is None:
+            continue
+        lost = abs(volumes(mesh.vertices, mesh.tetrahedra).sum() / volume - 1.0)
+        score = lost + _FLATNESS * (1.0 - quality(mesh.vertices, mesh.tetrahedra).mean())
+        if best is None or score < best[0]:
+            best = score, shape / shape.prod() ** (1 / 3), cell
+    if best is None:
+        raise DefplanError(f"{name} cannot be filled with {vertices} vertices: ask for more")
+    _, shape, guess = best
+    mesh, cell = _exact_count(surface, shape, vertices, guess)
+    if mesh is None:
+        raise DefplanError(
+            f"{name} cannot be filled with {vertices} vertices: ask for some more or fewer"
+        )
+    mesh = fit_boundary(mesh, surface)
+    lost = 1.0 - volumes(mesh.vertices, mesh.tetrahedra).sum() / volume
+    if lost > _MOST_LOST:
+        raise DefplanError(
+            f"{name} has parts too thin for {vertices} vertices ({100 * lost:.0f}% of its volume"
+            " is lost): ask for more vertices"
+        )
+    return mesh, cell * shape
+
+
+def _attempt(surface: Surface, cell: np.ndarray, shift: float) -> TetMesh:
+    """Fill the surface with a lattice centred on its box, moved by a share of a cell in x."""
     centre = 0.5 * (surface.vertices.min(0) + surface.vertices.max(0))
-    shape = np.array([1.0, 0.85, 1.0])
-    low, high = 0.0, np.ptp(surface.vertices, axis=0).max()
-    best = None
-    for _ in range(40):
-        cell = 0.5 * (low + high)
-        mesh = stuff(surface.vertices, surface.faces, cell * shape, centre)
-        n = len(mesh.vertices)
-        if best is None or abs(n - vertices) < abs(len(best.vertices) - vertices):
-            best = mesh
-        if n > vertices:
-            low = cell
-        else:
-            high = cell
-        if abs(n - vertices) <= 2:
-            break
-    return best
+    centre = centre + np.array([shift * cell[0], 0.0, 0.0])
+    return stuff(surface.vertices, surface.faces, cell, centre)
+
+
+def _near_count(
+    surface: Surface, shape: np.ndarray, vertices: int, cell: float
+) -> tuple[TetMesh | None, float]:
+    """Find a cell that gives the count within 5%, by its power law; mesh or None, cell."""
+    for _ in range(6):
+        mesh = _attempt(surface, cell * shape, 0.0)
+        count = len(mesh.vertices)
+        if abs(count - vertices) <= 0.05 * vertices:
+            return mesh, cell
+        cell *= (max(count, 8) / vertices) ** (1.0 / 2.5)
+    return None, cell
+
+
+def _exact_count(
+    surface: Surface, shape: np.ndarray, vertices: int, cell: float
+) -> tuple[TetMesh | None, float]:
+    """Find a mesh with the count within 2: bisection on the cell, with the lattice moved in x."""
+    for shift in (0.0, 0.5, 0.25, 0.125, 0.375, 0.0625, 0.1875, 0.3125, 0.4375):
+        low, high = 0.85 * cell, 1.15 * cell
+        for _ in range(14):
+            middle = 0.5 * (low + high)
+            mesh = _attempt(surface, middle * shape, shift)
+            count = len(mesh.vertices)
+            if abs(count - vertices) <= 2:
+                return mesh, middle
+            low, high = (middle, high) if count > vertices else (low, middle)
+    return None, cell

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 _FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))  # outward, for positive volume
@@ -36,13 +38,34 @@ def quality(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     return 6.0 * np.sqrt(2.0) * volumes(vertices, tetrahedra) / (square / 6.0) ** 1.5
 
 
+def _face_keys(tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return all faces (4t, 3), face by face, outward, and a number (4t,) for their corner set."""
+    faces = np.concatenate([tetrahedra[:, corners] for corners in _FACES])
+    low, middle, high = np.sort(faces, axis=1).T
+    base = int(tetrahedra.max()) + 1
+    if base > 2_000_000:
+        raise ValueError(f"{base} vertices: face numbers would overflow")
+    return faces, (low * base + middle) * base + high
+
+
 def boundary(tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the boundary triangles (f, 3), outward, and the tetrahedron (f,) each belongs to."""
-    faces = np.concatenate([tetrahedra[:, corners] for corners in _FACES])
-    owner = np.tile(np.arange(len(tetrahedra)), 4)
-    _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
+    faces, keys = _face_keys(tetrahedra)
+    _, first, count = np.unique(keys, return_index=True, return_counts=True)
     keep = np.sort(first[count == 1])
-    return faces[keep], owner[keep]
+    return faces[keep], keep % len(tetrahedra)
+
+
+def face_pieces(tetrahedra: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return labels (t,) of the pieces joined through faces, and the most tetrahedra at a face."""
+    _, keys = _face_keys(tetrahedra)
+    count = len(tetrahedra)
+    order = np.argsort(keys, kind="stable")
+    same = np.flatnonzero(keys[order[1:]] == keys[order[:-1]])
+    pairs = order[same] % count, order[same + 1] % count
+    graph = coo_matrix((np.ones(len(same)), pairs), (count, count))
+    most = int(np.unique(keys, return_counts=True)[1].max())
+    return connected_components(graph, False)[1], most
 
 
 def shape_gradients(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
