@@ -1,0 +1,306 @@
+"""How well the rigid surrogate predicts each gait cycle of logged episodes, from the logs alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from defplan_mj.errors import DefplanError
+from defplan_mj.log.poses import predict, rotation_matrix, yaw
+from defplan_mj.log.reader import EpisodeLog, read_log
+
+TABLE_COLUMNS = (
+    "gait",
+    "cycles",
+    "position mean (m)",
+    "sd",
+    "p95",
+    "heading mean (rad)",
+    "sd",
+    "p95",
+    "spread (m)",
+)
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One log of a comparison.
+
+    Attributes:
+        path: the log.
+        fault: what is wrong with it, '' if it is whole.
+        outcome: of the episode, '' if the log does not hold it.
+        reward: sum over its cycles.
+        clearance: smallest one, m; NaN without a step.
+        collisions: physics steps in contact.
+        truth, chained: (m + 1, 7) poses at the ends of the compared cycles: the true ones, and
+            those the surrogate gives when it starts with the first and never sees the truth again.
+    """
+
+    path: Path
+    fault: str
+    outcome: str
+    reward: float
+    clearance: float
+    collisions: int
+    truth: np.ndarray
+    chained: np.ndarray
+
+    @property
+    def drift(self) -> float:
+        """Distance between true and chained position after the last cycle, m."""
+        return float(np.linalg.norm(self.truth[-1, :3] - self.chained[-1, :3]))
+
+    @property
+    def heading_drift(self) -> float:
+        """True minus chained heading after the last cycle, rad in (-pi, pi]."""
+        return float(_heading(self.truth[-1:], self.chained[-1:])[0])
+
+    @property
+    def travelled(self) -> float:
+        """Length of the true path from cycle to cycle, m."""
+        return float(np.linalg.norm(np.diff(self.truth[:, :3], axis=0), axis=1).sum())
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Surrogate against reduced dynamics, cycle by cycle; every cycle starts at its true state.
+
+    Attributes:
+        task_names: (K,) gaits.
+        episodes: the logs.
+        log: (n,) index of each cycle's log.
+        gait: (n,) index of its gait.
+        start: (n,) time it began, s.
+        predicted, truth: (n, 3) displacement of the centre of mass over the cycle, in the body's
+            yaw frame at its start (forward, left, up), m.
+        heading: (n,) true minus predicted heading at its end, rad in (-pi, pi].
+    """
+
+    task_names: tuple[str, ...]
+    episodes: tuple[Episode, ...]
+    log: np.ndarray
+    gait: np.ndarray
+    start: np.ndarray
+    predicted: np.ndarray
+    truth: np.ndarray
+    heading: np.ndarray
+
+    @property
+    def position(self) -> np.ndarray:
+        """(n,) distance between true and predicted position at the end of each cycle, m."""
+        return np.linalg.norm(self.truth - self.predicted, axis=1)
+
+    def summary(self, gait: int | None = None) -> dict[str, Any]:
+        """Return the figures of one gait (None: of all cycles).
+
+        'position' and 'heading': mean, sd (n - 1) and p95; heading's mean is signed (left is
+        positive) and its p95 is of the absolute value; 'spread': root mean square distance of the
+        true displacements from their own mean, that is, what no rigid surrogate could predict.
+        """
+        some = np.ones(len(self.gait), bool) if gait is None else self.gait == gait
+        name = "all" if gait is None else self.task_names[gait]
+        spread = [self.truth[some & (self.gait == k)] for k in np.unique(self.gait[some])]
+        about = np.vstack([t - t.mean(0) for t in spread]) if spread else np.zeros((0, 3))
+        return {
+            "name": name,
+            "cycles": int(some.sum()),
+            "position": _figures(self.position[some], self.position[some]),
+            "heading": _figures(self.heading[some], np.abs(self.heading[some])),
+            "spread": float(np.sqrt((about**2).sum(1).mean())) if len(about) else None,
+        }
+
+    def summaries(self) -> list[dict[str, Any]]:
+        """Return `summary` of each gait that was used, then of all cycles."""
+        return [*(self.summary(k) for k in np.unique(self.gait)), self.summary()]
+
+    def table(self) -> list[list[str]]:
+        """Return rows of text for `TABLE_COLUMNS`."""
+        return [
+            [
+                row["name"],
+                str(row["cycles"]),
+                *(_text(row["position"][key]) for key in ("mean", "sd", "p95")),
+                *(_text(row["heading"][key], key == "mean") for key in ("mean", "sd", "p95")),
+                _text(row["spread"]),
+            ]
+            for row in self.summaries()
+        ]
+
+    def drift_rows(self) -> list[list[str]]:
+        """Return rows of text, one a log: what happened, and where chained predictions end up."""
+        return [
+            [
+                episode.path.name,
+                episode.outcome or episode.fault,
+                str(len(episode.truth) - 1),
+                _text(episode.travelled),
+                _text(episode.drift),
+                _text(episode.heading_drift, True),
+                _text(episode.clearance) if np.isfinite(episode.clearance) else "-",
+                _text(episode.reward),
+            ]
+            for episode in self.episodes
+        ]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all figures as plain data (m, rad)."""
+        return {
+            "gaits": self.summaries(),
+            "logs": [
+                {
+                    "log": str(episode.path),
+                    "whole": not episode.fault,
+                    "fault": episode.fault,
+                    "outcome": episode.outcome,
+                    "cycles": len(episode.truth) - 1,
+                    "travelled": episode.travelled,
+                    "drift": {"position": episode.drift, "heading": episode.heading_drift},
+                    "reward": episode.reward,
+                    "clearance": _number(episode.clearance),
+                    "collisions": episode.collisions,
+                }
+                for episode in self.episodes
+            ],
+        }
+
+    def plot(self, path: str | Path) -> None:
+        """Write the comparison's figure to `path` (PNG, SVG or PDF), atomically."""
+        from defplan_mj.log.compare_plot import comparison_figure
+        from defplan_mj.log.plotting import save_figure
+
+        save_figure(comparison_figure(self), path)
+
+
+DRIFT_COLUMNS = (
+    "log",
+    "outcome",
+    "cycles",
+    "travelled (m)",
+    "drift (m)",
+    "drift (rad)",
+    "clearance (m)",
+    "reward",
+)
+
+
+def compare_logs(paths: Iterable[str | Path | EpisodeLog]) -> Comparison:
+    """Compare surrogate and reduced dynamics over all whole gait cycles of some logs.
+
+    A cycle that the episode's end cut short is left out: the surrogate knows whole cycles only.
+
+    Raises:
+        DefplanError: a log cannot be read, holds no prediction, or none has a whole cycle.
+    """
+    logs = [p if isinstance(p, EpisodeLog) else read_log(p) for p in paths]
+    names = list(dict.fromkeys(name for log in logs for name in log.task_names))
+    episodes, parts = [], []
+    for number, log in enumerate(logs):
+        rows = _cycles(log)
+        episodes.append(_episode(log, rows))
+        gait = np.array([_name_index(log, j, names) for j in log.gait_index[rows]], int)
+        parts.append(_errors(log, rows) | {"gait": gait, "log": np.full(len(rows), number)})
+    if not any(len(part["gait"]) for part in parts):
+        raise DefplanError(f"no whole gait cycle in {', '.join(str(log.path) for log in logs)}")
+    joined = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    return Comparison(task_names=tuple(names), episodes=tuple(episodes), **joined)
+
+
+def _name_index(log: EpisodeLog, gait: int, names: list[str]) -> int:
+    """Return which of `names` a log's gait is; logs of different gaits are joined by name."""
+    name = log.task_names[gait] if gait < len(log.task_names) else f"gait {gait}"
+    if name not in names:
+        names.append(name)
+    return names.index(name)
+
+
+def _cycles(log: EpisodeLog) -> np.ndarray:
+    """Return the rows of a log's whole cycles."""
+    lengths = np.diff(log.cycle_steps)
+    if not len(lengths):
+        return np.zeros(0, int)
+    whole = log.gait.steps_per_cycle if "gait.npz" in log.attachments else lengths.max()
+    return np.flatnonzero(lengths == whole)
+
+
+def _predictions(log: EpisodeLog, rows: np.ndarray) -> np.ndarray:
+    """Return the (m, 7) logged predictions; those that were not logged are made of the attachment."""
+    poses = log.surrogate_pose[rows].copy()
+    for i in np.flatnonzero(~np.isfinite(poses).all(1)):
+        start = log.states[log.cycle_steps[rows[i]]]
+        poses[i] = predict(log.surrogate, start[:7], int(log.gait_index[rows[i]]))
+    return poses
+
+
+def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Return start time, displacements in the starts' yaw frames, and heading errors of some cycles."""
+    start = log.states[log.cycle_steps[rows]][:, :7]
+    end = log.states[log.cycle_steps[rows + 1]][:, :7]
+    predicted = _predictions(log, rows)
+    angle = yaw(rotation_matrix(start[:, 3:]))
+    return {
+        "start": log.time[log.cycle_steps[rows]],
+        "predicted": _into_yaw_frame(predicted[:, :3] - start[:, :3], angle),
+        "truth": _into_yaw_frame(end[:, :3] - start[:, :3], angle),
+        "heading": _heading(end, predicted),
+    }
+
+
+def _episode(log: EpisodeLog, rows: np.ndarray) -> Episode:
+    """Return one log's own figures; the surrogate is chained over its leading whole cycles."""
+    leading = rows[rows == np.arange(len(rows))]
+    truth = log.states[log.cycle_steps[: len(leading) + 1]][:, :7]
+    chained = [truth[0]]
+    for j in log.gait_index[leading]:
+        chained.append(predict(log.surrogate, chained[-1], int(j)))
+    return Episode(
+        path=log.path,
+        fault=log.fault,
+        outcome=log.outcome,
+        reward=float(log.reward.sum()),
+        clearance=float(log.clearance.min()) if len(log.clearance) else float("nan"),
+        collisions=int((log.clearance < 0).sum()),
+        truth=truth,
+        chained=np.array(chained),
+    )
+
+
+def _into_yaw_frame(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Turn world vectors (m, 3) back by headings (m,)."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y, z = vectors.T
+    return np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
+
+
+def _heading(truth: np.ndarray, predicted: np.ndarray) -> np.ndarray:
+    """Return true minus predicted heading of (m, 7) poses, in (-pi, pi]."""
+    angle = yaw(rotation_matrix(truth[:, 3:7])) - yaw(rotation_matrix(predicted[:, 3:7]))
+    return np.pi - (np.pi - angle) % (2 * np.pi)
+
+
+def _figures(values: np.ndarray, sizes: np.ndarray) -> dict[str, float | None]:
+    """Return mean and sd of `values` and the 95th percentile of `sizes`; None where undefined."""
+    return {
+        "mean": float(values.mean()) if len(values) else None,
+        "sd": float(values.std(ddof=1)) if len(values) > 1 else None,
+        "p95": float(np.percentile(sizes, 95)) if len(values) else None,
+    }
+
+
+def _number(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _text(value: float | None, signed: bool = False) -> str:
+    if value is None:
+        return "-"
+    return f"{value:+.3f}" if signed else f"{value:.3f}"
+
+
+def gaits_used(comparison: Comparison) -> Sequence[int]:
+    """Return the indices of the gaits that occur in a comparison."""
+    return [int(k) for k in np.unique(comparison.gait)]

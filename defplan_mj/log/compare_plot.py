@@ -1,0 +1,73 @@
+"""The figure of a comparison: where cycles end, how large the errors are, where chaining leads."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from defplan_mj.log.compare import Comparison, gaits_used
+from defplan_mj.log.plotting import FAINT, INK, PATH, SERIES, new_figure, styled
+
+
+@styled
+def comparison_figure(comparison: Comparison) -> Figure:
+    """Return the figure that `defplan compare` writes and the report shows."""
+    figure, axes = new_figure(9.5, 6.2, 2, 2)
+    draw_displacements(axes[0, 0], comparison)
+    draw_chained(axes[0, 1], comparison)
+    draw_errors(axes[1, 0], comparison, comparison.position, "position error (m)")
+    draw_errors(axes[1, 1], comparison, comparison.heading, "heading error (rad)")
+    return figure
+
+
+def draw_displacements(axes: Axes, comparison: Comparison) -> None:
+    """Draw where the body is after each cycle, seen from its start: truth, and prediction."""
+    for k in gaits_used(comparison):
+        some = comparison.gait == k
+        colour, name = SERIES[k % len(SERIES)], comparison.task_names[k]
+        truth, predicted = comparison.truth[some], comparison.predicted[some].mean(0)
+        axes.scatter(-truth[:, 1], truth[:, 0], s=9, color=colour, alpha=0.45, lw=0, label=name)
+        axes.scatter(-predicted[1], predicted[0], s=70, marker="+", color=colour, lw=1.8)
+    axes.scatter([0], [0], s=24, marker="o", color=INK, zorder=3)
+    axes.scatter([], [], s=50, marker="+", color=INK, label="surrogate")
+    axes.set(xlabel="to the right (m)", ylabel="forward (m)", title="Displacement in one cycle")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.legend(loc="best")
+
+
+def draw_chained(axes: Axes, comparison: Comparison) -> None:
+    """Draw the first log's true path beside the surrogate's own, chained from the start."""
+    episode = comparison.episodes[0]
+    axes.plot(*episode.truth[:, :2].T, color=PATH, marker="o", ms=2.5, label="reduced dynamics")
+    axes.plot(*episode.chained[:, :2].T, color=INK, ls="--", lw=1.1, label="surrogate, chained")
+    ends = np.stack([episode.truth[-1, :2], episode.chained[-1, :2]])
+    axes.plot(*ends.T, color=FAINT, lw=0.8, label=f"drift {episode.drift:.2f} m")
+    axes.set(xlabel="x (m)", ylabel="y (m)", title=f"Path of {episode.path.stem}")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.legend(loc="best")
+
+
+def draw_errors(axes: Axes, comparison: Comparison, errors: np.ndarray, label: str) -> None:
+    """Draw the distribution of an error, gait by gait: every cycle a dot, the box its quartiles."""
+    used = gaits_used(comparison)
+    samples = [errors[comparison.gait == k] for k in used]
+    axes.boxplot(
+        samples,
+        orientation="horizontal",
+        widths=0.5,
+        showfliers=False,
+        medianprops={"color": INK, "lw": 1.6},
+        boxprops={"color": FAINT},
+        whiskerprops={"color": FAINT},
+        capprops={"color": FAINT},
+    )
+    rng = np.random.default_rng(0)  # only to keep the dots apart
+    for row, (k, sample) in enumerate(zip(used, samples, strict=True), 1):
+        height = row + rng.uniform(-0.18, 0.18, len(sample))
+        axes.scatter(sample, height, s=9, color=SERIES[k % len(SERIES)], alpha=0.5, lw=0)
+    names = [f"{comparison.task_names[k]} ({len(s)})" for k, s in zip(used, samples, strict=True)]
+    axes.set_yticks(range(1, len(used) + 1), names)
+    axes.invert_yaxis()
+    axes.axvline(0, color=FAINT, lw=0.8)
+    axes.set(xlabel=label)

@@ -1,0 +1,83 @@
+"""Figures without a screen: one look for all plots, and atomic writing."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from defplan_mj import files
+from defplan_mj.errors import DefplanError
+
+INK, FAINT = "#2b2f33", "#9aa1a8"
+PATH, OBSTACLE, TARGET, BODY = "#2e8b57", "#4a6fb5", "#c8392b", "#1f7a8c"
+"""Paths are green, obstacles blue, targets red, as in the paper's Fig. 6."""
+SERIES = ("#3b5b92", "#d98a1f", "#8a4f9e", "#3f9b6c", "#b5443c", "#5a6b7a")
+"""Colours of gaits or modal coordinates, in their order."""
+
+STYLE: Any = {
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.labelsize": 9,
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.4,
+    "figure.facecolor": "white",
+    "axes.facecolor": "white",
+    "savefig.facecolor": "white",
+    "svg.hashsalt": "defplan",  # the same figure gives the same file
+}
+
+
+styled = matplotlib.rc_context(STYLE)
+"""Decorator of functions that draw: they do it in our style."""
+
+
+@styled
+def new_figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, **kwargs: Any
+) -> tuple[Figure, Any]:
+    """Return a figure of a size in inches and its axes, (rows, columns) of them.
+
+    Drawn without pyplot, so that no screen is asked for.
+    """
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **kwargs)
+
+
+def note(axes: Axes, text: str) -> None:
+    """Write a sentence where a plot would be."""
+    axes.text(0.5, 0.5, text, ha="center", va="center", color=FAINT, transform=axes.transAxes)
+
+
+@styled
+def render_figure(figure: Figure, kind: str = "png", dpi: int = 150) -> bytes:
+    """Return a figure as the bytes of a PNG, SVG or PDF."""
+    stream = BytesIO()
+    dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    figure.savefig(stream, format=kind, dpi=dpi, metadata=dates.get(kind))
+    return stream.getvalue()
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure to `path`, atomically; the name's ending says the format.
+
+    Raises:
+        DefplanError: an ending that is not PNG, SVG or PDF, or the file cannot be written.
+    """
+    kind = Path(path).suffix.lower().lstrip(".")
+    if kind not in ("png", "svg", "pdf"):
+        raise DefplanError(f"cannot write a figure as {path}: end its name in .png, .svg or .pdf")
+    files.write_bytes(path, render_figure(figure, kind))
