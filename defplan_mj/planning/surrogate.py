@@ -1,9 +1,10 @@
-"""The rigid surrogate f_fit: one gait cycle moves the body by one rigid motion (paper, section IV-B)."""
+"""The rigid surrogate f_fit: a gait cycle is one rigid motion (paper, section IV-B)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,9 @@ class Surrogate:
             "pairs": self.pairs,
             "radius": self.radius,
         }
-        files.save_archive(path, "surrogate", FORMAT_VERSION, {n: getattr(self, n) for n in names}, meta)
+        files.save_archive(
+            path, "surrogate", FORMAT_VERSION, {n: getattr(self, n) for n in names}, meta
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> Surrogate:
@@ -68,4 +71,5 @@ class Surrogate:
             DefplanError: the file is missing, damaged or of another version.
         """
         arrays, meta, _ = files.load_archive(path, "surrogate", FORMAT_VERSION)
-        return cls(task_names=tuple(meta.pop("task_names")), **meta, **arrays)
+        contents: dict[str, Any] = {**meta, **arrays, "task_names": tuple(meta["task_names"])}
+        return cls(**contents)

@@ -1,0 +1,77 @@
+"""What a planner is, and what a planner plugin has to offer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.task import Navigation, Progress
+
+Observation = Mapping[str, np.ndarray]
+"""'laser' (beams,) m; 'target' (3,) m in the body's yaw frame; 'state' reduced state."""
+
+
+class Planner(Protocol):
+    """What drives one robot: values each gait at every cycle; the largest value is chosen."""
+
+    def reset(self) -> None:
+        """Forget the past: a new episode begins."""
+
+    def values(self, observation: Observation) -> np.ndarray:
+        """Return the (K,) value of each gait in the present observation."""
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """A planner and how it came about.
+
+    Attributes:
+        planner: ready for use.
+        curves: arrays of equal length by name, for the report's training curves (Fig. 5).
+        seconds: wall time of the training, s.
+    """
+
+    planner: Planner
+    curves: dict[str, np.ndarray] = field(default_factory=dict)
+    seconds: float = 0.0
+
+
+class PlannerSolver(Protocol):
+    """A planner plugin (entry point group `defplan_mj.solvers`).
+
+    Attributes:
+        kind: 'planner'.
+        name: of the plugin.
+        summary: one line for `defplan list`.
+        needs_training: False if `train` costs nothing.
+    """
+
+    kind: str
+    name: str
+    summary: str
+    needs_training: bool
+
+    def train(
+        self,
+        surrogate: Surrogate,
+        navigation: Navigation,
+        seed: int,
+        seconds: float | None = None,
+        progress: Progress = ...,
+    ) -> TrainResult:
+        """Train a planner for the surrogate; `seconds` is a safety limit of the wall time."""
+
+    def save(self, planner: Planner, path: Path) -> None:
+        """Write the planner to `path`, atomically and without pickle."""
+
+    def load(self, path: Path, surrogate: Surrogate, navigation: Navigation) -> Planner:
+        """Read a planner of `save`.
+
+        Raises:
+            DefplanError: the file is missing, damaged, of another version or of another robot.
+        """

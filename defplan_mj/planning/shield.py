@@ -1,0 +1,69 @@
+"""The safety shield: a planner's best gait that leaves a way to go on without a collision."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from defplan_mj.planning.motion_tree import MotionTree
+from defplan_mj.planning.observation import laser_points
+from defplan_mj.planning.planner import Observation, Planner
+from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.task import Navigation
+
+LEVELS = ((4, 0.3), (4, 0.05), (2, 0.0), (1, 0.0))
+"""Depth (cycles) and margin (m) that are asked for, one after the other, until a gait meets them."""
+
+
+class Shield:
+    """A planner that wraps another one and devalues gaits that lead into what the laser sees.
+
+    A gait is safe if the surrogate knows a sequence of cycles that begins with it and keeps the
+    body's disc clear of every laser point by a margin. If no gait is, a shorter sequence and a
+    smaller margin must do; if none is left, the gait that stays farthest from the points.
+
+    Args:
+        planner: to be shielded.
+        surrogate: f_fit.
+        navigation: for the laser.
+        levels: see `LEVELS`.
+    """
+
+    def __init__(
+        self,
+        planner: Planner,
+        surrogate: Surrogate,
+        navigation: Navigation,
+        levels: tuple[tuple[int, float], ...] = LEVELS,
+    ) -> None:
+        self.planner, self.levels = planner, levels
+        self.radius, self.laser_range = surrogate.radius, navigation.laser_range
+        self.tree = MotionTree(surrogate.planar(), max(depth for depth, _ in levels))
+
+    def reset(self) -> None:
+        """Reset the wrapped planner."""
+        self.planner.reset()
+
+    def values(self, observation: Observation) -> np.ndarray:
+        """Return the planner's values, those of unsafe gaits lowered below all others."""
+        values = self.planner.values(observation)
+        safe = self.safe(laser_points(observation["laser"], self.laser_range))
+        return np.where(safe, values, values - (np.ptp(values) + 1.0))
+
+    def safe(self, points: np.ndarray) -> np.ndarray:
+        """Return (K,) which gaits are safe among the (p, 2) points, at least one of them."""
+        gaits = self.tree.gaits
+        if not len(points):
+            return np.ones(gaits, bool)
+        from_start, from_end, from_way = self.tree.distances2(points)
+        touches = from_way < self.radius**2
+        leaves = from_end > from_start
+        for depth, margin in self.levels:
+            close = from_way < (self.radius + margin) ** 2
+            # Who is inside the margin already may move away, though not touch.
+            leaving = leaves & (from_start < (self.radius + margin) ** 2)
+            free = ~(touches | (close & ~leaving)).any(0)
+            safe = self.tree.first_gaits(free, depth)
+            if safe.any():
+                return safe
+        clearance = from_way[:, :gaits].min(0)
+        return clearance == clearance.max()
