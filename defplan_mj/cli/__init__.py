@@ -39,8 +39,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(argv: Sequence[str] | None) -> int:
     from defplan_mj.cli.console import Console
     from defplan_mj.cli.parser import parse
+    from defplan_mj.cli.screen import choose_renderer
 
     arguments = parse(argv)
+    choose_renderer(arguments.draws)
     with Console(json=arguments.json, quiet=arguments.quiet) as console:
         return arguments.command(arguments, console)
 

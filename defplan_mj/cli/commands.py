@@ -69,11 +69,6 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     raise DefplanError("not yet")
 
 
-def body(arguments: argparse.Namespace, console: Console) -> int:
-    """Not yet."""
-    raise DefplanError("not yet")
-
-
 def gait(arguments: argparse.Namespace, console: Console) -> int:
     """Not yet."""
     raise DefplanError("not yet")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from defplan_mj import __version__
-from defplan_mj.cli import commands
+from defplan_mj.cli import body, commands
 
 
 class Parser(argparse.ArgumentParser):
@@ -49,22 +49,31 @@ def build() -> argparse.ArgumentParser:
         title="commands", metavar="COMMAND", required=True, parser_class=Parser
     )
 
-    def add(name: str, run: Callable[..., int], help: str) -> argparse.ArgumentParser:
+    def add(
+        name: str, run: Callable[..., int], help: str, draws: bool = False
+    ) -> argparse.ArgumentParser:
         sub = subparsers.add_parser(name, help=help, description=help, allow_abbrev=False)
-        sub.set_defaults(command=run)
+        sub.set_defaults(command=run, draws=draws)
         return sub
 
     _list(add("list", commands.list_installed, "name the tasks and solvers that are installed"))
-    _run(add("run", commands.run, "do everything: mesh, gaits, planner, evaluation, log, report"))
-    _body(add("body", commands.body, "build a soft body from a mesh file"))
+    _run(
+        add(
+            "run",
+            commands.run,
+            "do everything: mesh, gaits, planner, evaluation, log, report",
+            True,
+        )
+    )
+    _body(add("body", body.body, "build a soft body from a mesh file"))
     _gait(add("gait", commands.gait, "optimise a task's gaits"))
     _surrogate(add("surrogate", commands.surrogate, "fit the rigid surrogate to a task's gaits"))
     _planner(add("planner", commands.planner, "train a planner on the surrogate"))
     _evaluate(add("evaluate", commands.evaluate, "let a planner steer the reduced dynamics"))
     _bench(add("bench", commands.bench, "time the step, its peers, the surrogate and the laser"))
     _compare(add("compare", commands.compare, "compare the surrogate with the truth, from logs"))
-    _replay(add("replay", commands.replay, "simulate a log again, to the bit"))
-    _view(add("view", commands.view, "watch a task in MuJoCo's viewer"))
+    _replay(add("replay", commands.replay, "simulate a log again, to the bit", True))
+    _view(add("view", commands.view, "watch a task in MuJoCo's viewer", True))
     return parser
 
 
@@ -89,7 +98,9 @@ def _body(sub: argparse.ArgumentParser) -> None:
         help="a watertight surface mesh (STL, OBJ, PLY, OFF, glTF), a tetrahedral mesh (.msh, "
         ".vtk, .vtu), or a TASK: its mesh and its options",
     )
-    sub.add_argument("-o", "--output", type=Path, metavar="FILE", help="body file to write (npz)")
+    sub.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="body file to write (default: NAME.npz)"
+    )
     sub.add_argument("--vertices", type=_count, metavar="N", help="of the tetrahedral mesh")
     sub.add_argument("--modes", type=_count, metavar="R", help="modal coordinates")
     sub.add_argument("--length", type=_positive, metavar="M", help="longest extent, metres")

@@ -1,0 +1,127 @@
+"""`defplan body`: build a soft body from a mesh file, or from a task's, and say how good it is."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from defplan_mj.cli.console import Console
+from defplan_mj.errors import DefplanError
+
+if TYPE_CHECKING:
+    from defplan_mj.body.model import Body
+    from defplan_mj.task import BodyOptions
+
+
+def body(arguments: argparse.Namespace, console: Console) -> int:
+    """Build the body, write it, print what it is."""
+    from defplan_mj.body.build import build_body
+
+    mesh, options, name = _what(arguments)
+    output = arguments.output or Path(f"{name}.npz")
+    if output.suffix != ".npz":
+        raise DefplanError(f"a body file ends in .npz, not {output.suffix or 'nothing'}: {output}")
+    start = time.perf_counter()
+    with console.progress() as progress:
+        built = build_body(mesh, options, lambda m, f: progress(f"body: {m}", f), name)
+        built.save(output)
+        data = _describe(built, output, time.perf_counter() - start)
+        if arguments.check:
+            from defplan_mj.body.check import check_body
+
+            data["check"] = check_body(built, lambda m, f: progress(f"check: {m}", f))
+    console.result(data, _text(data))
+    return 0
+
+
+def _what(arguments: argparse.Namespace) -> tuple[Path, BodyOptions, str]:
+    """Return mesh, options and name of the body: MESH is a file, or else a task's name."""
+    from defplan_mj import registry
+    from defplan_mj.task import BodyOptions
+
+    mesh, options = Path(arguments.mesh), BodyOptions()
+    name = mesh.stem
+    if not mesh.exists() and not mesh.suffix and mesh.parent == Path():
+        try:
+            spec = registry.get_task(arguments.mesh)
+        except DefplanError as error:
+            raise DefplanError(f"mesh file {mesh} does not exist, and {error}") from error
+        mesh, options, name = spec.mesh, spec.body, spec.mesh.stem
+    material = _given(arguments, density="density", youngs_modulus="youngs_modulus",
+                      poissons_ratio="poissons_ratio")  # fmt: skip
+    changes = _given(arguments, vertices="vertices", modes="modes", length="length")
+    if material:
+        changes["material"] = dataclasses.replace(options.material, **material)
+    if arguments.medium and arguments.medium != options.medium.name:
+        changes["medium"] = _medium(arguments.medium)
+    return mesh, dataclasses.replace(options, **changes), name
+
+
+def _given(arguments: argparse.Namespace, **names: str) -> dict[str, Any]:
+    """Return those options that the user has given."""
+    found = {field: getattr(arguments, option) for field, option in names.items()}
+    return {field: value for field, value in found.items() if value is not None}
+
+
+def _medium(name: str) -> Any:
+    """Return the medium called `name`: in water a body floats, in air it falls."""
+    from defplan_mj.body.model import Medium
+
+    if name == "water":
+        return Medium()
+    return Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
+
+
+def _describe(built: Body, output: Path, seconds: float) -> dict[str, Any]:
+    """Return what the command prints as JSON."""
+    return {
+        "file": output,
+        "hash": built.hash,
+        "name": built.name,
+        "vertices": len(built.vertices),
+        "tetrahedra": len(built.tetrahedra),
+        "quality": built.source.get("quality", {}),
+        "length_m": built.length,
+        "mass_kg": built.mass,
+        "modes": built.n_modes,
+        "frequencies_hz": built.frequencies,
+        "basis": built.n_basis,
+        "sampled": len(built.sampled),
+        "patches": len(built.patch_areas),
+        "medium": built.medium.name,
+        "seconds": seconds,
+    }
+
+
+def _text(data: dict[str, Any]) -> str:
+    """Return the same for people."""
+    quality = data["quality"]
+    frequencies = ", ".join(f"{f:.3g}" for f in data["frequencies_hz"])
+    lines = [
+        f"{data['file']}: {data['name']}, {data['length_m']:.3g} m, {data['mass_kg']:.3g} kg,"
+        f" in {data['medium']}",
+        f"  mesh       {data['vertices']} vertices, {data['tetrahedra']} tetrahedra,"
+        f" quality {quality.get('min', float('nan')):.2f} at least,"
+        f" {quality.get('mean', float('nan')):.2f} on average",
+        f"  modes      {data['modes']}: {frequencies} Hz",
+        f"  reduction  {data['basis']} basis shapes, {data['sampled']} sampled tetrahedra,"
+        f" {data['patches']} drag patches",
+    ]
+    for name, value in _flat(data.get("check", {})):
+        lines.append(f"  check      {name}: {value}")
+    return "\n".join([*lines, f"  built in {data['seconds']:.1f} s"])
+
+
+def _flat(data: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Return nested numbers as (name, text) pairs."""
+    found = []
+    for key, value in data.items():
+        name = f"{prefix}{key}".replace("_", " ")
+        if isinstance(value, dict):
+            found += _flat(value, f"{name}, ")
+        else:
+            found.append((name, f"{value:.3g}" if isinstance(value, float) else str(value)))
+    return found
