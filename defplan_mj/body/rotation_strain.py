@@ -59,12 +59,16 @@ def exponential(w: np.ndarray) -> np.ndarray:
     return result
 
 
+def strain_matrices(components: np.ndarray) -> np.ndarray:
+    """Return the symmetric matrices (..., 3, 3) of strain components (..., 6)."""
+    return components[..., _STRAIN_INDEX]
+
+
 def deformation(features: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Return F - I (m, t, 3, 3) for shapes q (m, r) and a feature map (t, 9, r)."""
     values = np.einsum("tfr,mr->mtf", features, q, optimize=True)
-    strain = values[..., 3:][..., _STRAIN_INDEX]
     rotation = exponential(values[..., :3])
-    return rotation @ (np.eye(3) + strain) - np.eye(3)
+    return rotation @ (np.eye(3) + strain_matrices(values[..., 3:])) - np.eye(3)
 
 
 class RotationStrain:
