@@ -183,3 +183,60 @@ def record_episode(
         if outcome is not None:
             recorder.end(outcome, "the target was reached")
     return {name: np.array(value) for name, value in kept.items()}
+
+
+def swimming_body(folder: Path) -> Body:
+    """Return a small flat ellipsoid that the kernel can simulate."""
+    import trimesh
+
+    from defplan_mj.body.build import build_body
+    from defplan_mj.task import BodyOptions
+
+    mesh = trimesh.creation.icosphere(subdivisions=3)
+    mesh.apply_scale([0.5, 0.12, 0.2])
+    mesh.export(folder / "pebble.stl")
+    options = BodyOptions(vertices=200, modes=3, basis=10, samples=10, patches=24)
+    return build_body(folder / "pebble.stl", options)
+
+
+def swimming_gait(body: Body) -> Gait:
+    """Return three tasks that wave the first mode, the last two with a bend."""
+    r = body.n_modes
+    alpha, beta = np.zeros((3, 2, r)), np.ones((3, 2, r))
+    alpha[:, 0, 0], alpha[:, 1, 0] = 0.4, -0.4
+    alpha[:, 0, 1], alpha[:, 1, 1] = 0.1, -0.1
+    alpha[1, 0, 0], alpha[2, 0, 0] = 0.6, 0.2
+    return Gait(
+        body_hash=body.hash,
+        task_names=("forward", "left", "right"),
+        timestep=TIMESTEP,
+        steps_per_cycle=STEPS_PER_CYCLE,
+        alpha=alpha,
+        beta=beta,
+        mu=np.tile([[0.0], [np.pi]], (1, r)),
+        amplitude=body.amplitude,
+    )
+
+
+def record_swim(path: Path, files: RunFiles, cycles: int = 6) -> None:
+    """Log an episode of the navigation environment, with gaits drawn at random."""
+    from defplan_mj.host.navigation import navigation_environment
+    from defplan_mj.task import Navigation
+
+    navigation, scene = Navigation(laser_range=8.0), sample_scene(speed=0.1)
+    env = navigation_environment(files.body, files.gait, navigation, lambda random: scene)
+    rng = np.random.default_rng(5)
+    with Recorder(path, files) as recorder:
+        env.task.step_hook = lambda physics, shape: recorder.step(
+            physics.time(), physics.reduced_state(), shape, physics.clearance()
+        )
+        timestep = env.reset()
+        context = {"task": "pebble-swim", "seed": 5, "timestep": TIMESTEP, "navigation": navigation}
+        recorder.begin({**context, "state": env.physics.reduced_state()}, scene)
+        for cycle in range(cycles):
+            time, x = env.physics.time(), env.physics.reduced_state()
+            laser, gait_index = timestep.observation["laser"].copy(), int(rng.integers(3))
+            timestep = env.step(gait_index)
+            recorder.cycle(cycle, time, x, gait_index, np.zeros(3), timestep.reward, laser)
+        recorder.end("timeout", f"{cycles} cycles are over")
+    env.close()

@@ -1,0 +1,269 @@
+"""Simulate a logged episode again, from the log alone, and say whether every bit is the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from defplan_mj.log import schemas
+from defplan_mj.log.reader import EpisodeLog, read_log
+from defplan_mj.log.recorder import versions
+from defplan_mj.task import Navigation, Progress, no_progress
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first place where a replay and its log part.
+
+    Attributes:
+        simulator: 'kernel' or 'mujoco'.
+        quantity: 'state', 'clearance', 'laser', 'reward' or 'length'.
+        step: physics step after which it was measured (0: the start).
+        label: which number of it, e.g. 'qw' or 'beam 12'.
+        logged, replayed: both numbers.
+    """
+
+    simulator: str
+    quantity: str
+    step: int
+    label: str
+    logged: float
+    replayed: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.quantity} {self.label} differs at step {self.step} ({self.simulator}): "
+            f"logged {self.logged!r}, replayed {self.replayed!r}"
+        )
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """What a replay found.
+
+    Attributes:
+        path: the log.
+        fault: what is wrong with the log itself, '' if it is whole.
+        steps: physics steps replayed.
+        simulators: what replayed them: the kernel's rollout, and MuJoCo in the logged scene.
+        difference: the first one; None if all is the same to the bit.
+        largest: largest difference of any number of any state.
+        changed: what differs between the machine of the log and this one, for example
+            'numpy 2.4.5 -> 2.4.6'.
+    """
+
+    path: Path
+    fault: str
+    steps: int
+    simulators: tuple[str, ...]
+    difference: Difference | None
+    largest: float
+    changed: tuple[str, ...]
+
+    @property
+    def identical(self) -> bool:
+        """Whether log and replay agree to the bit."""
+        return self.difference is None
+
+    def sentence(self) -> str:
+        """Return the result as one sentence."""
+        with_what = " and ".join(self.simulators)
+        start = f"{self.path}{f' ({self.fault})' if self.fault else ''}: "
+        if self.difference is None:
+            return start + f"{self.steps} steps replayed by {with_what}, identical to the bit"
+        since = f"; since the log: {', '.join(self.changed)}" if self.changed else ""
+        return start + f"{self.difference}; largest difference of a state {self.largest:.3g}{since}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as plain data."""
+        return {
+            "log": str(self.path),
+            "whole": not self.fault,
+            "fault": self.fault,
+            "steps": self.steps,
+            "simulators": list(self.simulators),
+            "identical": self.identical,
+            "difference": None if self.difference is None else _finite(vars(self.difference)),
+            "largest": self.largest if np.isfinite(self.largest) else None,
+            "changed": list(self.changed),
+        }
+
+
+def replay_log(path: str | Path | EpisodeLog, progress: Progress = no_progress) -> ReplayResult:
+    """Simulate a log again and compare every state to the bit.
+
+    The kernel repeats the logged target shapes from the logged start. If the log holds its gait,
+    MuJoCo also repeats the episode in the logged scene from the chosen gaits alone, and distances
+    to obstacles, laser scans and rewards are compared as well.
+
+    Raises:
+        DefplanError: the log cannot be read, or holds no body.
+    """
+    from defplan_mj.dynamics.reduced import ReducedDynamics
+
+    log = path if isinstance(path, EpisodeLog) else read_log(path)
+    progress("replay in the kernel", 0.0)
+    dynamics = ReducedDynamics(log.body, log.timestep)
+    states, _ = dynamics.rollout_count(log.states[0], log.target_shapes)
+    largest = _largest(log.states, states)
+    simulators = ["kernel"]
+    difference = _first("kernel", "state", log.states, states, _state_labels(log))
+    if difference is None and "gait.npz" in log.attachments and len(log.gait_index):
+        simulators.append("mujoco")
+        replayed = _in_mujoco(log, progress)
+        n = len(replayed["state"])
+        largest = max(largest, _largest(log.states[:n], replayed["state"]))
+        difference = _compare_episode(log, replayed)
+    progress("replay done", 1.0)
+    return ReplayResult(
+        path=log.path,
+        fault=log.fault,
+        steps=len(log.target_shapes),
+        simulators=tuple(simulators),
+        difference=difference,
+        largest=largest,
+        changed=tuple(_changed(log)),
+    )
+
+
+def _in_mujoco(log: EpisodeLog, progress: Progress) -> dict[str, np.ndarray]:
+    """Run the episode again in the navigation environment; return what it measures."""
+    from defplan_mj.host.navigation import navigation_environment
+    from defplan_mj.host.physics import Physics
+
+    told = log.configuration.get("navigation") or {}
+    navigation = Navigation(
+        beams=log.laser.shape[1],
+        laser_range=float(told.get("laser_range", Navigation().laser_range)),
+    )
+    env = navigation_environment(
+        log.body, log.gait, navigation, lambda random: log.scene, scene=log.scene
+    )
+    states: list[np.ndarray] = []
+    clearances: list[float] = []
+
+    def keep(physics: Physics, target_shape: np.ndarray) -> None:
+        states.append(physics.reduced_state())
+        clearances.append(physics.clearance())
+
+    env.task.step_hook = keep
+    timestep = env.reset()
+    states.append(env.physics.reduced_state())
+    lasers, rewards = [], []
+    for number, gait in enumerate(log.gait_index):
+        progress("replay in MuJoCo", number / len(log.gait_index))
+        if timestep.last():
+            break
+        lasers.append(timestep.observation["laser"].copy())
+        timestep = env.step(int(gait))
+        rewards.append(timestep.reward)
+    env.close()
+    return {
+        "state": np.array(states),
+        "clearance": np.array(clearances),
+        "laser": np.array(lasers),
+        "reward": np.array(rewards, float),
+    }
+
+
+def _compare_episode(log: EpisodeLog, replayed: dict[str, np.ndarray]) -> Difference | None:
+    """Return the earliest difference between a log and its episode in MuJoCo."""
+    ends = log.cycle_steps
+    logged = {
+        # a cycle that a cut has taken the end of is not replayed by MuJoCo
+        "state": log.states[: ends[-1] + 1],
+        "clearance": log.clearance[: ends[-1]],
+        "laser": log.laser,
+        "reward": log.reward,
+    }
+    steps = {
+        "state": np.arange(ends[-1] + 1),
+        "clearance": np.arange(1, ends[-1] + 1),
+        "laser": ends[:-1],
+        "reward": ends[1:],
+    }
+    labels = {
+        "state": _state_labels(log),
+        "laser": [f"beam {i}" for i in range(log.laser.shape[1])],
+    }
+    found = [
+        _first("mujoco", name, logged[name], replayed[name], labels.get(name, [""]), steps[name])
+        for name in logged
+    ]
+    return min((d for d in found if d is not None), key=lambda d: d.step, default=None)
+
+
+def _first(
+    simulator: str,
+    quantity: str,
+    logged: np.ndarray,
+    replayed: np.ndarray,
+    labels: list[str],
+    steps: np.ndarray | None = None,
+) -> Difference | None:
+    """Return the first number whose bits differ, row by row."""
+    n = min(len(logged), len(replayed))
+    old, new = logged[:n].reshape(n, -1), replayed[:n].reshape(n, -1)
+    at = np.arange(n) if steps is None else steps
+    rows, columns = np.nonzero(_bits(old) != _bits(new))
+    if len(rows):
+        i, j = rows[0], columns[0]
+        return Difference(
+            simulator, quantity, int(at[i]), labels[j], float(old[i, j]), float(new[i, j])
+        )
+    if len(logged) != len(replayed):
+        counts = float(len(logged)), float(len(replayed))
+        return Difference(
+            simulator, "length", int(at[n - 1]) if n else 0, f"of {quantity}", *counts
+        )
+    return None
+
+
+def _bits(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, np.float64).view(np.uint64)
+
+
+def _largest(logged: np.ndarray, replayed: np.ndarray) -> float:
+    n = min(len(logged), len(replayed))
+    return float(np.abs(logged[:n] - replayed[:n]).max(initial=0.0))
+
+
+def _state_labels(log: EpisodeLog) -> list[str]:
+    return schemas.state_labels(log.target_shapes.shape[1])
+
+
+def _changed(log: EpisodeLog) -> Iterator[str]:
+    """Yield what a replay here does not share with the run of the log."""
+    here = versions()
+    for name, version in log.versions.items():
+        if here.get(name, "none") != version:
+            yield f"{name} {version} -> {here.get(name, 'none')}"
+
+
+def _finite(values: dict[str, Any]) -> dict[str, Any]:
+    """Make numbers that JSON cannot hold into text."""
+    return {
+        k: str(v) if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()
+    }
+
+
+def write_video(
+    log: str | Path | EpisodeLog,
+    video: str | Path,
+    size: tuple[int, int] = (960, 540),
+    fps: float = 25.0,
+    camera: str = "chase",
+) -> None:
+    """Draw a log's states in their scene as a video (.mp4, .gif), or the last one (.png).
+
+    Raises:
+        DefplanError: the log cannot be read, or the video cannot be drawn or written.
+    """
+    from defplan_mj.host.render import render_states
+
+    log = log if isinstance(log, EpisodeLog) else read_log(log)
+    render_states(log.body, log.states, log.scene, video, size, fps, camera, timestep=log.timestep)
