@@ -46,6 +46,18 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def check_writable(path: str | Path) -> None:
+    """Raise DefplanError if a file could not be written at `path`; to be asked before long work."""
+    if Path(path).is_dir():
+        raise DefplanError(f"cannot write {path}: it is a folder")
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=Path(path).parent):
+            pass
+    except OSError as error:
+        raise DefplanError(f"cannot write {path}: {error.strerror}") from error
+
+
 def write_text(path: str | Path, text: str) -> None:
     """Write `text` to `path` atomically (UTF-8)."""
     with atomic_path(path) as temporary:

@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
 def body(arguments: argparse.Namespace, console: Console) -> int:
     """Build the body, write it, print what it is."""
+    from defplan_mj import files
     from defplan_mj.body.build import build_body
 
     mesh, options, name = _what(arguments)
     output = arguments.output or Path(f"{name}.npz")
     if output.suffix != ".npz":
         raise DefplanError(f"a body file ends in .npz, not {output.suffix or 'nothing'}: {output}")
+    files.check_writable(output)  # now, not after half a minute of work
     start = time.perf_counter()
     with console.progress() as progress:
         built = build_body(mesh, options, lambda m, f: progress(f"body: {m}", f), name)

@@ -94,16 +94,6 @@ def bench(arguments: argparse.Namespace, console: Console) -> int:
     raise DefplanError("not yet")
 
 
-def compare(arguments: argparse.Namespace, console: Console) -> int:
-    """Not yet."""
-    raise DefplanError("not yet")
-
-
-def replay(arguments: argparse.Namespace, console: Console) -> int:
-    """Not yet."""
-    raise DefplanError("not yet")
-
-
 def view(arguments: argparse.Namespace, console: Console) -> int:
     """Not yet."""
     raise DefplanError("not yet")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from defplan_mj import __version__
-from defplan_mj.cli import body, commands
+from defplan_mj.cli import body, commands, logs
 
 
 class Parser(argparse.ArgumentParser):
@@ -71,8 +71,8 @@ def build() -> argparse.ArgumentParser:
     _planner(add("planner", commands.planner, "train a planner on the surrogate"))
     _evaluate(add("evaluate", commands.evaluate, "let a planner steer the reduced dynamics"))
     _bench(add("bench", commands.bench, "time the step, its peers, the surrogate and the laser"))
-    _compare(add("compare", commands.compare, "compare the surrogate with the truth, from logs"))
-    _replay(add("replay", commands.replay, "simulate a log again, to the bit", True))
+    _compare(add("compare", logs.compare, "compare the surrogate with the truth, from logs"))
+    _replay(add("replay", logs.replay, "simulate a log again, to the bit", True))
     _view(add("view", commands.view, "watch a task in MuJoCo's viewer", True))
     return parser
 
@@ -169,13 +169,13 @@ def _bench(sub: argparse.ArgumentParser) -> None:
 
 def _compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("log", nargs="+", type=Path, metavar="LOG", help="MCAP file")
-    sub.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the plot (PNG, SVG)")
+    sub.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the plot (PNG, SVG or PDF)")
     _common(sub)
 
 
 def _replay(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("log", type=Path, metavar="LOG", help="MCAP file")
-    sub.add_argument("--video", type=Path, metavar="FILE", help="write a video (MP4)")
+    sub.add_argument("--video", type=Path, metavar="FILE", help="draw it as a video (MP4, GIF) or as a picture of its end (PNG)")
     _common(sub)
 
 
