@@ -79,7 +79,7 @@ def in_pieces(path):
 
 def self_intersecting(path):
     mesh = sphere()
-    mesh.vertices[mesh.vertices[:, 2].argmax(), 2] = -0.6  # a spike through the other side
+    mesh.vertices[mesh.vertices[:, 2].argmax()] = [0.07, 0.03, -0.6]  # through the other side
     mesh.export(path)
 
 
