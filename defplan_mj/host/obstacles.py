@@ -49,7 +49,9 @@ def set_scene(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
     for index in range(room):
         if index < len(scene.radii):
             radius = float(scene.radii[index])
-            size = [radius, OBSTACLE_HALF_HEIGHT if scene.shape == "cylinder" else 0.0, 0.0]
+            # heights differ a little: two tops in one plane would flicker where they overlap
+            height = OBSTACLE_HALF_HEIGHT + 0.01 * index if scene.shape == "cylinder" else 0.0
+            size = [radius, height, 0.0]
             place, velocity = scene.centres[index], scene.velocities[index]
             _set_obstacle(model, data, index, _SHAPES[scene.shape], size, place, velocity, RGBA)
         else:

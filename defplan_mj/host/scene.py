@@ -35,7 +35,7 @@ def build_spec(
 
     The spec may be added to (geoms, bodies, sensors) before it is compiled. Names: body 'robot', its
     free joint 'root', slide joints 'mode_0'..., actuators 'target_0'..., sensor 'clearance', site
-    'target', mocap bodies and geoms 'obstacle_0'..., cameras 'chase', 'top', numeric 'laser' (number
+    'target', mocap bodies and geoms 'obstacle_0'..., cameras 'chase', 'side', 'top', numeric 'laser' (number
     of beams, range in m), text 'body_hash'.
 
     Args:
@@ -131,13 +131,24 @@ def _add_robot(spec: mujoco.MjSpec, body: Body, timestep: float, normalised: boo
 
     length = body.length
     track = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
-    robot.add_camera(
-        name="chase",
+    views = {
+        "chase": ([-1.25, -1.75, 1.0], [0.814, -0.581, 0, 0.246, 0.345, 0.906]),
+        "side": ([0, -1.9, 0.35], [1, 0, 0, 0, 0.18, 0.98]),
+        "top": ([0, 0, 4], [1, 0, 0, 0, 1, 0]),
+    }
+    for name, (place, axes) in views.items():
+        robot.add_camera(name=name, mode=track, pos=length * np.array(place), xyaxes=axes)
+    # above the robot wherever it goes, so that the shadow map need not cover the whole world
+    robot.add_light(
+        name="sun",
         mode=track,
-        pos=[-1.6 * length, -2.2 * length, 1.3 * length],
-        xyaxes=[0.81, -0.59, 0, 0.25, 0.35, 0.90],
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[0, 0, 12],
+        dir=[0.18, 0.12, -0.975],
+        diffuse=[0.75, 0.75, 0.7],
+        specular=[0.25, 0.25, 0.25],
+        castshadow=True,
     )
-    robot.add_camera(name="top", mode=track, pos=[0, 0, 5 * length], xyaxes=[1, 0, 0, 0, 1, 0])
 
 
 def _add_obstacle(spec: mujoco.MjSpec, index: int) -> None:
@@ -162,6 +173,7 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     visual.headlight.specular = [0.1, 0.1, 0.1]
     visual.map.znear = 0.01
     visual.map.zfar = 60
+    visual.map.shadowclip = 8
     visual.quality.shadowsize = 4096
     visual.quality.offsamples = 8
     visual.global_.offwidth = 1920
@@ -191,7 +203,7 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     textures = [""] * mujoco.mjtTextureRole.mjNTEXROLE.value
     textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"
     spec.add_material(
-        name="grid", textures=textures, texrepeat=[0.5, 0.5], texuniform=True, reflectance=0.05
+        name="grid", textures=textures, texrepeat=[0.5, 0.5], texuniform=True, reflectance=0.0
     )
     colours = {
         "self": ([1, 1, 1, 1], [0.7, 1, 0.7, 1]),
@@ -212,14 +224,4 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
         contype=0,
         conaffinity=0,
         group=DECOR_GROUP,
-    )
-    spec.worldbody.add_light(
-        name="sun",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        mode=mujoco.mjtCamLight.mjCAMLIGHT_FIXED,
-        pos=[0, 0, 20],
-        dir=[0.25, 0.2, -1],
-        diffuse=[0.75, 0.75, 0.7],
-        specular=[0.25, 0.25, 0.25],
-        castshadow=True,
     )

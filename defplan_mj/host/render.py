@@ -1,0 +1,237 @@
+"""Pictures and videos of states in their scene, without a screen (EGL or OSMesa)."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import imageio.v2 as imageio
+import mujoco
+import numpy as np
+
+from defplan_mj import files, registry
+from defplan_mj.body.model import Body
+from defplan_mj.errors import DefplanError
+from defplan_mj.host.obstacles import set_scene
+from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.planning.scenes import Scene
+
+MAP = "map"  # the camera that sees the whole way from above
+TRAIL_RGBA = np.array([0.95, 0.98, 1.0, 0.8], np.float32)
+_BACKENDS = ("egl", "osmesa", "glfw")
+
+
+class Offscreen:
+    """An OpenGL context without a window, and the pictures of one model; a context manager."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int):
+        """Open the first of EGL, OSMesa and GLFW that works (MUJOCO_GL comes first).
+
+        Raises:
+            DefplanError: none works.
+        """
+        model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
+        model.vis.global_.offheight = max(height, model.vis.global_.offheight)
+        self._context = _open_context(width, height)
+        self._model = model
+        self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
+        self._rect = mujoco.MjrRect(0, 0, width, height)
+        self._option = mujoco.MjvOption()
+        self.scene = mujoco.MjvScene(model, maxgeom=20000)
+
+    def __enter__(self) -> Offscreen:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._mjr.free()
+        self._context.free()
+
+    def picture(
+        self,
+        data: mujoco.MjData,
+        camera: mujoco.MjvCamera,
+        trail: np.ndarray | None = None,
+        trail_radius: float = 0.012,
+    ) -> np.ndarray:
+        """Return the (height, width, 3) uint8 picture of `data`.
+
+        Args:
+            trail: (n, 3) points to join by a line, m; of radius `trail_radius`, m.
+        """
+        perturb, everything = mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(
+            self._model, data, self._option, perturb, camera, everything, self.scene
+        )
+        if trail is not None:
+            self._add_trail(trail, trail_radius)
+        pixels = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
+        mujoco.mjr_render(self._rect, self.scene, self._mjr)
+        mujoco.mjr_readPixels(pixels, None, self._rect, self._mjr)
+        return np.ascontiguousarray(pixels[::-1])
+
+    def _add_trail(self, points: np.ndarray, radius: float) -> None:
+        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+        for start, end in zip(points, points[1:], strict=False):
+            if self.scene.ngeom == self.scene.maxgeom:
+                return
+            geom = self.scene.geoms[self.scene.ngeom]
+            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.zeros(9), TRAIL_RGBA)
+            mujoco.mjv_connector(geom, capsule, radius, start, end)
+            self.scene.ngeom += 1
+
+
+def render_states(
+    body: Body,
+    states: np.ndarray,
+    scene: Scene | None = None,
+    path: str | Path | None = None,
+    size: tuple[int, int] = (960, 540),
+    fps: float = 25.0,
+    camera: str = "chase",
+    *,
+    timestep: float = 0.04,
+    trail: bool = True,
+) -> list[np.ndarray]:
+    """Draw states in their scene: a video, a picture, or frames.
+
+    Args:
+        states: (n, 13 + 2r), `timestep` apart, the first at time 0.
+        path: an .mp4 or .gif file takes all frames in real time; a .png takes the last state, with
+            the way to it; None returns the frames.
+        size: width, height in pixels.
+        fps: frames a second of simulated time.
+        camera: 'chase', 'side', 'top' (all follow the body), or 'map': the whole way from above.
+        timestep: s.
+        trail: draw the way of the centre of mass.
+
+    Returns:
+        The frames, (height, width, 3) uint8, if `path` is None, else an empty list.
+
+    Raises:
+        DefplanError: no way to draw without a screen, or the file cannot be written.
+    """
+    states = np.atleast_2d(states)
+    still = path is not None and Path(path).suffix.lower() == ".png"
+    times = timestep * np.arange(len(states))
+    wanted = times[-1:] if still else np.arange(0.0, times[-1] + 0.5 * timestep, 1 / fps)
+    indices = np.minimum(np.round(wanted / timestep).astype(int), len(states) - 1)
+    frames = _frames(body, states, scene, size, camera, timestep, indices, trail)
+    if path is None:
+        return list(frames)
+    _write(frames, Path(path), fps, still)
+    return []
+
+
+def _frames(
+    body: Body,
+    states: np.ndarray,
+    scene: Scene | None,
+    size: tuple[int, int],
+    camera: str,
+    timestep: float,
+    indices: Sequence[int],
+    trail: bool,
+) -> Iterator[np.ndarray]:
+    room = 0 if scene is None else len(scene.radii)
+    spec = build_spec(body, timestep, max_obstacles=room, texture=texture_of(body))
+    model = compile_model(spec)
+    data = mujoco.MjData(model)
+    if scene is None:
+        model.site_rgba[:, 3] = 0
+        model.site_matid[:] = -1
+    r = body.n_modes
+    view = _camera(model, camera, states[:, :3], scene, size[1] / size[0])
+    with Offscreen(model, *size) as offscreen:
+        # seen from far above, the shadow map is too coarse
+        offscreen.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera != MAP
+        for index in indices:
+            data.time = index * timestep
+            data.qpos[:], data.qvel[:] = states[index, : 7 + r], states[index, 7 + r :]
+            if scene is not None:
+                set_scene(model, data, scene)
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_camlight(model, data)
+            way = states[: index + 1, :3] if trail else None
+            yield offscreen.picture(data, view, way, 0.06 if camera == MAP else 0.012)
+
+
+def _camera(
+    model: mujoco.MjModel, name: str, way: np.ndarray, scene: Scene | None, height_to_width: float
+) -> mujoco.MjvCamera:
+    """Return a camera of the model, or one above that sees the way, the target, the obstacles."""
+    camera = mujoco.MjvCamera()
+    if name != MAP:
+        identity = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
+        if identity < 0:
+            names = ", ".join([*(model.camera(i).name for i in range(model.ncam)), MAP])
+            raise DefplanError(f"there is no camera {name}: there are {names}")
+        camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        camera.fixedcamid = identity
+        return camera
+    # the way from start to target lies from left to right
+    bearing = 0.0
+    if scene is not None:
+        bearing = float(np.arctan2(scene.target[1] - way[0, 1], scene.target[0] - way[0, 0]))
+    right = np.array([np.cos(bearing), np.sin(bearing)])
+    axes = np.stack([right, [-right[1], right[0]]])
+    points, margins = [way[:, :2] @ axes.T], [np.full(len(way), 1.0)]
+    if scene is not None:
+        points += [scene.target[None, :2] @ axes.T, scene.centres[:, :2] @ axes.T]
+        margins += [np.array([scene.goal_radius + 0.5]), scene.radii + 0.5]
+    spread, margin = np.concatenate(points), np.concatenate(margins)[:, None]
+    low, high = (spread - margin).min(0), (spread + margin).max(0)
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.lookat = [*(0.5 * (low + high) @ axes), 0.0]
+    camera.azimuth, camera.elevation, camera.distance = 90 + np.degrees(bearing), -90.0, 30.0
+    camera.orthographic = model.vis.global_.orthographic = 1
+    model.vis.global_.fovy = float(max(high[1] - low[1], (high[0] - low[0]) * height_to_width))
+    return camera
+
+
+def texture_of(body: Body) -> np.ndarray | None:
+    """Return the skin picture that the suite domain called like the body has, or None."""
+    if body.name not in registry.names(registry.DOMAINS):
+        return None
+    try:
+        picture = getattr(registry.get_domain(body.name), "skin_texture", None)
+    except DefplanError:  # a broken domain costs the picture, not the video
+        return None
+    return None if picture is None else picture()
+
+
+def _write(frames: Iterator[np.ndarray], path: Path, fps: float, still: bool) -> None:
+    with files.atomic_path(path) as temporary:
+        if still:
+            imageio.imwrite(temporary, next(frames))
+            return
+        options: dict[str, Any] = {"fps": fps}
+        if path.suffix.lower() != ".gif":
+            options |= {"quality": 8, "macro_block_size": 2}
+        writer: Any
+        with imageio.get_writer(temporary, **options) as writer:
+            for frame in frames:
+                writer.append_data(frame)
+
+
+def _open_context(width: int, height: int):
+    """Return a current GL context of the first backend that works."""
+    first = os.environ.get("MUJOCO_GL", "").lower().strip()
+    order = [first] if first in _BACKENDS else []
+    reasons = []
+    for backend in order + [b for b in _BACKENDS if b not in order]:
+        try:
+            context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+            context.make_current()
+        except Exception as error:  # each backend fails in its own ways
+            reasons.append(f"{backend}: {type(error).__name__}")
+            continue
+        return context
+    raise DefplanError(
+        "cannot draw without a screen: neither EGL nor OSMesa works here"
+        f" ({'; '.join(reasons)}); install libegl1 or libosmesa6"
+    )

@@ -1,0 +1,112 @@
+"""Watch a task in MuJoCo's viewer, in real time, driven by a policy or a gait."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import dm_env
+import numpy as np
+from dm_control.rl import control
+
+from defplan_mj.errors import DefplanError
+from defplan_mj.host.physics import Physics
+
+Policy = Callable[[dm_env.TimeStep], Any]
+
+
+def require_display() -> None:
+    """Raise unless a window can be opened.
+
+    Raises:
+        DefplanError: there is no screen.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise DefplanError(
+            "there is no screen to open the viewer on (DISPLAY is not set):"
+            " use `defplan replay LOG --video FILE` to make a video instead"
+        )
+
+
+def view(
+    environment: control.Environment,
+    policy: Policy,
+    *,
+    episodes: int | None = None,
+    speed: float = 1.0,
+) -> list[str]:
+    """Open the viewer and run episodes until it is closed.
+
+    Args:
+        policy: returns an action of `environment` for its last time step.
+        episodes: stop after so many; None goes on until the window is closed.
+        speed: simulated seconds a second of wall time.
+
+    Returns:
+        The outcomes of the finished episodes, of tasks that have an `outcome`.
+
+    Raises:
+        DefplanError: there is no screen.
+    """
+    require_display()
+    from mujoco import viewer  # opens GLFW, so only where there is a screen
+
+    physics, task = environment.physics, environment.task
+    outcomes: list[str] = []
+    with viewer.launch_passive(physics.model.ptr, physics.data.ptr) as window:
+        pace = _Pace(speed)
+
+        def show(physics: Physics, target_shape: np.ndarray | None = None) -> None:
+            if window.is_running():
+                window.sync()
+                pace.wait(physics.time())
+
+        hooked = hasattr(task, "step_hook")
+        before = task.step_hook if hooked else None
+        if hooked:
+            task.step_hook = show
+        try:
+            while window.is_running() and (episodes is None or len(outcomes) < episodes):
+                step = environment.reset()
+                pace.start(physics.time())
+                while window.is_running() and not step.last():
+                    step = environment.step(policy(step))
+                    if not hooked:
+                        show(physics)
+                outcomes.append(getattr(task, "outcome", ""))
+        finally:
+            if hooked:
+                task.step_hook = before
+    return [outcome for outcome in outcomes if outcome]
+
+
+def play(gaits: Sequence[int]) -> Policy:
+    """Return a policy that plays a list of gaits, one a cycle, over and over."""
+    count = 0
+
+    def policy(_: dm_env.TimeStep) -> int:
+        nonlocal count
+        count += 1
+        return gaits[(count - 1) % len(gaits)]
+
+    return policy
+
+
+class _Pace:
+    """Holds simulated time to wall time."""
+
+    def __init__(self, speed: float):
+        self._speed = speed
+        self.start(0.0)
+
+    def start(self, simulated: float) -> None:
+        self._simulated, self._wall = simulated, time.monotonic()
+
+    def wait(self, simulated: float) -> None:
+        due = self._wall + (simulated - self._simulated) / self._speed
+        time.sleep(max(0.0, due - time.monotonic()))
