@@ -121,21 +121,3 @@ double dp_clearance(const double* blob, const double* qpos, int n_geom, const dp
   }
   return best;
 }
-
-/* --- handles: the table of bodies for callers that can pass numbers only */
-enum { N_HANDLES = 256 };
-static const double* table[N_HANDLES][2];
-
-int dp_register(const double* blob, const double* par) {
-  for (int i = 0; i < N_HANDLES; i++)
-    if (!table[i][0]) {
-      table[i][1] = par, table[i][0] = blob;
-      return i;
-    }
-  return -1;
-}
-void dp_unregister(int handle) {
-  if (handle >= 0 && handle < N_HANDLES) table[handle][0] = table[handle][1] = NULL;
-}
-const double* dp_handle_blob(int handle) { return handle >= 0 && handle < N_HANDLES ? table[handle][0] : NULL; }
-const double* dp_handle_par(int handle) { return handle >= 0 && handle < N_HANDLES ? table[handle][1] : NULL; }

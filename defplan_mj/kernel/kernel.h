@@ -82,10 +82,10 @@ DP_API double dp_clearance(const double* blob, const double* qpos, int n_geom, c
 /* Signed distance of one point to one geom, and its outward gradient (normal, may be NULL). */
 DP_API double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]);
 
-/* Handles, for callers that can pass numbers only (CasADi): registers a copy-free reference.
- * Returns a handle >= 0, or -1 if the table is full. The memory must outlive the handle. */
-DP_API int dp_register(const double* blob, const double* par);
-DP_API void dp_unregister(int handle);
-DP_API const double* dp_handle_blob(int handle);
-DP_API const double* dp_handle_par(int handle);
+/* CasADi (casadi.c) can pass numbers only: a slot holds a copy of a body and its options for its
+ * functions defplan_step_<slot> (steps = 1) and defplan_rollout_<slot>. Returns the slot, -1 if all
+ * are taken, -2 if blob or steps is wrong, -3 if there is no memory. Close it once the functions
+ * are made: it lives as long as they do. */
+DP_API int dp_slot_open(const double* blob, size_t n, const double* par, int steps);
+DP_API void dp_slot_close(int slot);
 #endif

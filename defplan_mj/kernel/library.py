@@ -54,8 +54,8 @@ def kernel() -> ctypes.CDLL:
         "dp_surface": (None, [a, a, a]),
         "dp_clearance": (c_double, [a, a, c_int, p(Geom), c_double, p(c_int), p(c_int)]),
         "dp_geom_distance": (c_double, [p(Geom), a, a]),
-        "dp_register": (c_int, [a, a]),
-        "dp_unregister": (None, [c_int]),
+        "dp_slot_open": (c_int, [a, c_size_t, a, c_int]),
+        "dp_slot_close": (None, [c_int]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(lib, name)

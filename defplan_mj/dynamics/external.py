@@ -1,0 +1,57 @@
+"""The reduced dynamics as CasADi functions with exact derivatives, for any CasADi problem."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import casadi
+
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.errors import DefplanError
+from defplan_mj.kernel.library import PATH, kernel
+
+
+class CasadiDynamics:
+    """CasADi's view of reduced dynamics as they are now (a copy: later changes do not show).
+
+    The functions run in compiled code without Python, may be mapped over threads, and stay valid
+    when this object is gone. Their derivatives are exact; a step that does not converge is an
+    evaluation error, which ipopt answers with a shorter step.
+    """
+
+    def __init__(self, dynamics: ReducedDynamics):
+        self.dynamics = dynamics
+        self._rollouts: dict[int, casadi.Function] = {}
+
+    @cached_property
+    def step(self) -> casadi.Function:
+        """(x: nx, u: r) -> x_next: nx, with Jacobian and adjoint."""
+        return self._function("defplan_step", 1)
+
+    def rollout(self, n: int) -> casadi.Function:
+        """Return (x0: nx, u: r x n) -> x: nx x n, the states after each step, with adjoint."""
+        if n not in self._rollouts:
+            self._rollouts[n] = self._function("defplan_rollout", n)
+        return self._rollouts[n]
+
+    def rollouts(self, n: int, count: int, threads: int = 1) -> casadi.Function:
+        """Return `count` rollouts in parallel, side by side in the columns of the arguments.
+
+        (x0: nx x count, u: r x (n count)) -> x: nx x (n count), with adjoint.
+        """
+        if threads > 1:
+            return self.rollout(n).map(count, "thread", threads)
+        return self.rollout(n).map(count)
+
+    def _function(self, name: str, steps: int) -> casadi.Function:
+        blob, par = self.dynamics.blob, self.dynamics.par
+        slot = kernel().dp_slot_open(blob, blob.size, par, steps)
+        if slot < 0:
+            reason = {-1: "64 are in use already", -2: "steps must be positive"}.get(
+                slot, "no memory"
+            )
+            raise DefplanError(f"no CasADi function of the reduced dynamics can be made: {reason}")
+        try:
+            return casadi.external(f"{name}_{slot}", str(PATH))
+        finally:
+            kernel().dp_slot_close(slot)
