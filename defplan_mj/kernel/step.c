@@ -356,10 +356,13 @@ static int minimise(Work* w, dp_info* info) {
   double step[MAX_N], L[MAX_N * MAX_N];
   assemble(w);
   for (info->iterations = 1; info->iterations <= limit; info->iterations++) {
-    for (double shift = 0; !cholesky(w->H, n, L);) {
-      double next = shift ? 10 * shift : 1e-3 * scale;
-      if (next > 1e12 * scale) return 0;
-      for (int i = 0; i < n; i++) w->H[i * n + i] += next - shift;
+    /* where E is not convex, raise the diagonal just far enough: a larger shift would only crawl */
+    double diagonal[MAX_N], shift = 0;
+    for (int i = 0; i < n; i++) diagonal[i] = fabs(w->H[i * n + i]) + 1e-6 * scale;
+    while (!cholesky(w->H, n, L)) {
+      const double next = shift ? 3 * shift : 1e-4;
+      if (next > 1e12) return 0;
+      for (int i = 0; i < n; i++) w->H[i * n + i] += (next - shift) * diagonal[i];
       shift = next;
     }
     cholesky_solve(L, n, w->g, step);
