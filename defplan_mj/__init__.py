@@ -1,3 +1,8 @@
 """defplan: motion planning for soft robots, hosted by MuJoCo."""
 
+import warnings
+
 __version__ = "0.1.0"
+
+# dm_control tries GLFW on import, even where nothing will be drawn; without a screen it says so.
+warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing")
