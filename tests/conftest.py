@@ -5,12 +5,20 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from defplan_mj import threads
 
 threads.set_environment(1)  # before a test loads numpy
+
+# Not the task itself: it loads MuJoCo, which must know first how to render.
+from defplan_mj.body.build import build_body  # noqa: E402
+from defplan_mj.body.model import Body  # noqa: E402
+from defplan_mj.task import BodyOptions  # noqa: E402
+
+FISH_MESH = Path(__file__).parents[1] / "tasks" / "assets" / "fish.obj"
 
 _RENDER = """
 import mujoco
@@ -50,3 +58,16 @@ def rendering(pytestconfig: pytest.Config) -> None:
     """Skip the test on a machine where MuJoCo renders with neither EGL nor OSMesa."""
     if not pytestconfig.defplan_renders:  # type: ignore[attr-defined]
         pytest.skip("MuJoCo renders with neither EGL nor OSMesa here: is libEGL installed?")
+
+
+@pytest.fixture(scope="session")
+def small_fish() -> Body:
+    """Return the fish on a coarse mesh: fast to build and to compare with the full FEM."""
+    options = BodyOptions(vertices=300, modes=5, basis=16, samples=12, patches=40)
+    return build_body(FISH_MESH, options, name="small fish")
+
+
+@pytest.fixture(scope="session")
+def fish() -> Body:
+    """Return the fish of the paper's size; takes some seconds, so for slow tests."""
+    return build_body(FISH_MESH, BodyOptions(vertices=2118, modes=5), name="fish")
