@@ -1,0 +1,70 @@
+"""A small fish, a hand-made gait and scenes for the tests of the MuJoCo host."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from defplan_mj.body.build import build_body
+from defplan_mj.body.model import Body
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.gait.gait import Gait
+from defplan_mj.host.physics import Physics
+from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.planning.scenes import Scene
+from defplan_tasks.fish import SWIM
+
+
+@functools.cache
+def fish() -> Body:
+    """Return a coarse fish, made from the mesh file in a few seconds."""
+    return build_body(SWIM.mesh, dataclasses.replace(SWIM.body, vertices=250, patches=40))
+
+
+@functools.cache
+def dynamics(timestep: float = 0.04) -> ReducedDynamics:
+    return ReducedDynamics(fish(), timestep)
+
+
+@functools.cache
+def gait() -> Gait:
+    """Return three undulations, by hand: the tail beats, straight or bent to a side."""
+    r = fish().n_modes
+    alpha, beta = np.zeros((3, 5, r)), np.zeros((3, 5, r))
+    mu = np.tile(2 * np.pi * np.arange(5)[:, None] / 5, (1, r))
+    alpha[:, 0, 0], alpha[:, 2, 0] = 0.7, -0.7
+    alpha[:, 1, 1], alpha[:, 3, 1] = 0.5, -0.5
+    beta[:, :4, :2] = 1.0
+    alpha[1, 4, 0], alpha[2, 4, 0] = 0.4, -0.4
+    return Gait(fish().hash, ("forward", "left", "right"), 0.04, 11, alpha, beta, mu, fish().amplitude)
+
+
+def scene(
+    circles: list[tuple[float, float, float]],
+    target: tuple[float, float, float] = (20.0, 0.0, 0.0),
+    velocities: list[tuple[float, float, float]] | None = None,
+    **kwargs,
+) -> Scene:
+    """Return a scene with cylinders (x, y, radius)."""
+    array = np.array(circles, float).reshape(-1, 3)
+    centres = np.column_stack([array[:, :2], np.zeros(len(array))])
+    moving = np.zeros_like(centres) if velocities is None else np.array(velocities, float)
+    return Scene(np.array(target, float), centres, array[:, 2], moving, **kwargs)
+
+
+def physics(max_obstacles: int = 4, **kwargs) -> Physics:
+    """Return the fish in its world, at rest at the origin."""
+    spec = build_spec(fish(), 0.04, max_obstacles=max_obstacles, **kwargs)
+    return Physics.from_mjmodel(compile_model(spec))
+
+
+def place(physics: Physics, position=(0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0), q=None) -> None:
+    """Put the robot somewhere, at rest."""
+    with physics.reset_context():
+        state = np.zeros(13 + 2 * physics.n_modes)
+        state[:3], state[3:7] = position, np.array(quaternion) / np.linalg.norm(quaternion)
+        if q is not None:
+            state[7 : 7 + physics.n_modes] = q
+        physics.set_reduced_state(state)
