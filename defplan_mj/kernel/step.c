@@ -161,8 +161,9 @@ static void prepare(Work* w, int derivatives) {
   rotate(w->one.R, n, np, area);
   const double rho = w->par[DP_FLUID_DENSITY];
   for (int s = 0; s < np; s++) {
-    double A2 = area[s] * area[s] + area[np + s] * area[np + s] + area[2 * np + s] * area[2 * np + s] + 1e-20;
-    w->cn[s] = .5 * rho * w->par[DP_DRAG_NORMAL] / A2;
+    /* padding has no area, and must have no drag */
+    double A2 = area[s] * area[s] + area[np + s] * area[np + s] + area[2 * np + s] * area[2 * np + s];
+    w->cn[s] = .5 * rho * w->par[DP_DRAG_NORMAL] / (A2 + 1e-20);
     w->ct[s] = .5 * rho * w->par[DP_DRAG_TANGENT] * sqrt(A2);
   }
 }
