@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -9,16 +11,27 @@ from matplotlib.figure import Figure
 from defplan_mj.log.compare import Comparison, gaits_used
 from defplan_mj.log.plotting import FAINT, INK, PATH, SERIES, new_figure, styled
 
+Panel = Callable[[Axes, Comparison], None]
+
 
 @styled
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Return the figure that `defplan compare` writes and the report shows."""
+    """Return the figure that `defplan compare` writes."""
     figure, axes = new_figure(9.5, 6.2, 2, 2)
-    draw_displacements(axes[0, 0], comparison)
-    draw_chained(axes[0, 1], comparison)
-    draw_errors(axes[1, 0], comparison, comparison.position, "position error (m)")
-    draw_errors(axes[1, 1], comparison, comparison.heading, "heading error (rad)")
+    for panel, place in zip(PANELS, axes.flat, strict=True):
+        panel(place, comparison)
     return figure
+
+
+@styled
+def comparison_figures(comparison: Comparison) -> list[Figure]:
+    """Return the same, a figure a panel."""
+    figures = []
+    for panel in PANELS:
+        figure, axes = new_figure(4.6, 3.0)
+        panel(axes[0, 0], comparison)
+        figures.append(figure)
+    return figures
 
 
 def draw_displacements(axes: Axes, comparison: Comparison) -> None:
@@ -48,7 +61,17 @@ def draw_chained(axes: Axes, comparison: Comparison) -> None:
     axes.legend(loc="best")
 
 
-def draw_errors(axes: Axes, comparison: Comparison, errors: np.ndarray, label: str) -> None:
+def draw_position_errors(axes: Axes, comparison: Comparison) -> None:
+    """Draw the distances between prediction and truth after one cycle."""
+    _draw_errors(axes, comparison, comparison.position, "position error (m)")
+
+
+def draw_heading_errors(axes: Axes, comparison: Comparison) -> None:
+    """Draw the heading errors after one cycle."""
+    _draw_errors(axes, comparison, comparison.heading, "heading error (rad)")
+
+
+def _draw_errors(axes: Axes, comparison: Comparison, errors: np.ndarray, label: str) -> None:
     """Draw the distribution of an error, gait by gait: every cycle a dot, the box its quartiles."""
     used = gaits_used(comparison)
     samples = [errors[comparison.gait == k] for k in used]
@@ -71,3 +94,11 @@ def draw_errors(axes: Axes, comparison: Comparison, errors: np.ndarray, label: s
     axes.invert_yaxis()
     axes.axvline(0, color=FAINT, lw=0.8)
     axes.set(xlabel=label)
+
+
+PANELS: tuple[Panel, ...] = (
+    draw_displacements,
+    draw_chained,
+    draw_position_errors,
+    draw_heading_errors,
+)

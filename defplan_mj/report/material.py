@@ -1,0 +1,149 @@
+"""Everything a run's folder holds for its report; what is missing or damaged is named, not fatal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from defplan_mj import registry
+from defplan_mj.body.model import Body
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.errors import DefplanError
+from defplan_mj.gait.gait import Gait
+from defplan_mj.log.reader import EpisodeLog, read_log
+from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.task import TaskSpec
+
+_T = TypeVar("_T")
+
+
+@dataclass
+class Material:
+    """What was found in a run's folder.
+
+    Attributes:
+        folder: of the run.
+        body, gait, surrogate: None if missing or damaged.
+        curves: of the planner's training, by name; empty if there are none.
+        documents: JSON files by name, e.g. 'run', 'evaluation'.
+        logs: episodes, in the order of their names.
+        faults: file name -> sentence, of files that are there and cannot be read.
+    """
+
+    folder: Path
+    body: Body | None = None
+    gait: Gait | None = None
+    surrogate: Surrogate | None = None
+    curves: dict[str, np.ndarray] = field(default_factory=dict)
+    documents: dict[str, Any] = field(default_factory=dict)
+    logs: list[EpisodeLog] = field(default_factory=list)
+    faults: dict[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def dynamics(self) -> ReducedDynamics | None:
+        """The body's reduced dynamics, at the gait's time step if there is a gait."""
+        if self.body is None:
+            return None
+        return ReducedDynamics(self.body, self.gait.timestep if self.gait else 0.04)
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """What the run was asked for."""
+        return self.documents.get("run", {}).get("config", {})
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Wall time of each stage, s."""
+        return self.documents.get("run", {}).get("seconds", {})
+
+    @property
+    def task(self) -> str:
+        """Name of the task, as far as it is known."""
+        return str(self.config.get("task") or self.folder.name.rsplit("-seed", 1)[0])
+
+    @cached_property
+    def spec(self) -> TaskSpec | None:
+        """The task itself, if it is installed here."""
+        try:
+            return registry.get_task(self.task)
+        except DefplanError:
+            return None
+
+    @property
+    def paper(self) -> dict[str, Any]:
+        """The paper's figures for this task."""
+        return self.spec.paper if self.spec else {}
+
+    def find(self, name: str) -> Any:
+        """Return the first entry called `name` in any JSON document, however deep; None: no such."""
+        for document in self.documents.values():
+            found = _find(document, name)
+            if found is not None:
+                return found
+        return None
+
+
+def gather(folder: str | Path) -> Material:
+    """Read all that a run has left in its folder.
+
+    Raises:
+        DefplanError: there is no such folder.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise DefplanError(f"run folder {folder} does not exist")
+    material = Material(folder)
+
+    def read(name: str, load: Callable[[Path], _T]) -> _T | None:
+        path = folder / name
+        if not path.exists():
+            return None
+        try:
+            return load(path)
+        except DefplanError as error:
+            material.faults[name] = str(error)
+        except (OSError, ValueError) as error:
+            material.faults[name] = f"{path} cannot be read: {error}"
+        return None
+
+    material.body = read("body.npz", Body.load)
+    material.gait = read("gait.npz", Gait.load)
+    material.surrogate = read("surrogate.npz", Surrogate.load)
+    material.curves = read("training.npz", _curves) or {}
+    for path in sorted(folder.glob("*.json")):
+        document = read(path.name, lambda path: json.loads(path.read_text(encoding="utf-8")))
+        if isinstance(document, dict):
+            material.documents[path.stem] = document
+    for path in sorted(folder.glob("**/*.mcap")):
+        log = read(str(path.relative_to(folder)), read_log)
+        if log is not None:
+            material.logs.append(log)
+    return material
+
+
+def _curves(path: Path) -> dict[str, np.ndarray]:
+    """Return the numeric vectors of an npz archive."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files if not name.endswith(".json")}
+    except Exception as error:  # zip, zlib and NumPy raise many kinds on damaged files
+        raise DefplanError(f"{path} is not a whole training file") from error
+    return {k: a for k, a in arrays.items() if a.ndim == 1 and a.dtype.kind in "fiu" and len(a)}
+
+
+def _find(value: Any, name: str) -> Any:
+    if not isinstance(value, dict):
+        return None
+    if value.get(name) is not None:
+        return value[name]
+    for inner in value.values():
+        found = _find(inner, name)
+        if found is not None:
+            return found
+    return None

@@ -1,0 +1,196 @@
+"""The report's sections on training, success, trajectories and the surrogate's errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from defplan_mj.errors import DefplanError
+from defplan_mj.log.compare import DRIFT_COLUMNS, TABLE_COLUMNS, compare_logs
+from defplan_mj.log.compare_plot import comparison_figures
+from defplan_mj.log.reader import EpisodeLog
+from defplan_mj.report.content import (
+    Figures,
+    Missing,
+    Section,
+    Table,
+    Text,
+    drawing,
+    number,
+    percent,
+    wilson,
+)
+from defplan_mj.report.material import Material
+from defplan_mj.report.planning_figures import (
+    episode_figure,
+    overview_figure,
+    reward_figure,
+    success_figure,
+)
+from defplan_mj.report.sections import missing
+
+SHOWN = 6  # episodes of a kind that are drawn one by one
+
+
+def training_section(material: Material) -> Section:
+    """Return the planner's training curves."""
+    section = Section("training", "Training of the planner")
+    if not material.curves:
+        section.blocks.append(missing(material, "training.npz"))
+        return section
+    drawn = [f for f in (reward_figure(material.curves), success_figure(material.curves)) if f]
+    section.blocks.append(
+        Figures(
+            [drawing(figure) for figure in drawn],
+            "Training on the surrogate: reward of the K2 episodes at each checkpoint, mean (red) "
+            "within minimum and maximum (grey), as in the paper's Fig. 5 (the lower edge rises when "
+            "collisions end); and the share of episodes that reach their target.",
+        )
+        if drawn
+        else Missing("training.npz holds neither rewards nor success rates.")
+    )
+    return section
+
+
+def evaluations(document: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield label and content of every evaluation in a JSON document, however it is nested."""
+    if isinstance(document, dict):
+        if "episodes" in document and "success" in document:
+            yield ", ".join(path), document
+            return
+        for name, inner in document.items():
+            yield from evaluations(inner, (*path, name))
+
+
+def success_section(material: Material) -> Section:
+    """Return success, collision and timeout rates with their intervals."""
+    section = Section("success", "Does it arrive?")
+    found = list(evaluations(material.documents.get("evaluation")))
+    if not found:
+        section.blocks.append(missing(material, "evaluation.json"))
+        return section
+    rows = []
+    for label, result in found:
+        n = episodes(result)
+        low, high = wilson(round(rate(result, "success") * n), n)
+        rows.append(
+            [
+                label.replace("_", " "),
+                str(n),
+                percent(rate(result, "success")),
+                f"{100 * low:.0f}–{100 * high:.0f}%",
+                percent(rate(result, "collision")),
+                percent(rate(result, "timeout")),
+                number(result.get("real_time_factor"), 0),
+            ]
+        )
+    columns = [
+        "scenes",
+        "episodes",
+        "success",
+        "95% interval",
+        "collision",
+        "timeout",
+        "× real time",
+    ]
+    section.blocks.append(
+        Table(
+            columns,
+            rows,
+            "Episodes on the reduced dynamics in the MuJoCo scene, contact checked at every physics "
+            "step. 'K2' are the training targets, 'novel' ones were never seen; the shield vetoes "
+            "gaits that have no collision-free continuation in the laser's points. The interval is "
+            "Wilson's. × real time: simulated seconds per second of decision and physics.",
+        )
+    )
+    return section
+
+
+def episodes(result: dict[str, Any]) -> int:
+    """Return the number of episodes of an evaluation."""
+    n = result["episodes"]
+    return len(n) if isinstance(n, list) else int(n)
+
+
+def rate(result: dict[str, Any], outcome: str) -> float:
+    """Return the share of an outcome, whether the document has it as a share or as a count."""
+    value = result.get(outcome, 0.0)
+    if isinstance(value, dict):
+        value = value.get("rate", 0.0)
+    n = episodes(result)
+    return value / n if isinstance(value, int) and n else float(value)
+
+
+def trajectory_section(material: Material) -> Section:
+    """Return logged episodes from above, the paper's Fig. 6."""
+    section = Section("trajectories", "Trajectories")
+    logs, dynamics = material.logs, material.dynamics
+    if not logs:
+        section.blocks.append(Missing("No episode was logged yet (*.mcap)."))
+    if not logs or dynamics is None:
+        return section
+    groups: dict[str, list[EpisodeLog]] = {}
+    for log in logs:
+        groups.setdefault(log.path.stem.rstrip("0123456789").rstrip("-_") or "episodes", []).append(
+            log
+        )
+    for name, group in groups.items():
+        if len(group) >= 4:
+            section.blocks.append(
+                drawing(
+                    overview_figure(group),
+                    f"All {len(group)} logged {name} episodes in one picture: paths from the common "
+                    "start (black dot) to the targets (red). Every episode has its own obstacles "
+                    "(blue): a path may cross those of another.",
+                )
+            )
+        shown = group[:SHOWN]
+        more = f" ({len(shown)} of {len(group)})" if len(group) > len(shown) else ""
+        section.blocks.append(
+            Figures(
+                [drawing(episode_figure(log, dynamics)) for log in shown],
+                f"Logged {name} episodes{more}, from above: path of the centre of mass (green), "
+                "silhouettes of the body on its way (black), obstacles (blue; a moving one where it "
+                "is at the end, dotted where it began), target within its goal radius (red).",
+            )
+        )
+    for name, fault in material.faults.items():
+        if name.endswith(".mcap"):
+            section.blocks.append(Missing(f"{fault}."))
+    return section
+
+
+def comparison_section(material: Material) -> Section:
+    """Return how well the surrogate predicts the logged cycles."""
+    section = Section("comparison", "Surrogate against the truth")
+    if not material.logs:
+        section.blocks.append(Missing("No episode was logged yet (*.mcap)."))
+        return section
+    try:
+        comparison = compare_logs(material.logs)
+    except DefplanError as error:
+        section.blocks.append(Missing(f"{error}."))
+        return section
+    section.blocks += [
+        Text(
+            f"The planner learned on the surrogate and drives the deformable body. Over the "
+            f"{len(comparison.gait)} whole cycles of {len(comparison.episodes)} logged episodes, this "
+            "is how far the surrogate's prediction is from the truth after one cycle, each time "
+            "starting from the true state."
+        ),
+        Figures(
+            [drawing(figure) for figure in comparison_figures(comparison)],
+            "Displacement in one cycle as seen from its start (dots: the truth, crosses: the "
+            "surrogate); the path of one log beside the surrogate's own, which never sees the truth "
+            "after the start and drifts; errors of position and heading after one cycle, a dot a "
+            "cycle, the box from quartile to quartile.",
+        ),
+        Table(
+            TABLE_COLUMNS,
+            comparison.table(),
+            "Error of one cycle. p95: 95th percentile (of the absolute value, for the heading). "
+            "Spread: what is left if the prediction were the mean of these very cycles.",
+        ),
+        Table(DRIFT_COLUMNS, comparison.drift_rows(), "Each log; drift: of the chained surrogate."),
+    ]
+    return section

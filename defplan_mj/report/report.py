@@ -1,0 +1,131 @@
+"""One self-contained page about a run, from what lies in its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from defplan_mj import files
+from defplan_mj.report.content import Fact, Missing, Section, Table, Text, duration, percent, wilson
+from defplan_mj.report.material import Material, gather
+from defplan_mj.report.planning_sections import (
+    comparison_section,
+    episodes,
+    evaluations,
+    rate,
+    success_section,
+    training_section,
+    trajectory_section,
+)
+from defplan_mj.report.sections import (
+    body_section,
+    gait_section,
+    surrogate_section,
+    time_section,
+)
+from defplan_mj.task import Progress, no_progress
+
+REPORT_FILE = "report.html"
+
+SECTIONS: tuple[Callable[[Material], Section], ...] = (
+    body_section,
+    gait_section,
+    surrogate_section,
+    training_section,
+    success_section,
+    trajectory_section,
+    comparison_section,
+    time_section,
+)
+
+
+def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Path:
+    """Write `report.html` into a run's folder, atomically; what is missing is named in it.
+
+    The page is one file: pictures are inside, nothing is loaded from anywhere. The same folder gives
+    the same page to the byte.
+
+    Returns:
+        its path.
+
+    Raises:
+        DefplanError: there is no such folder, or the page cannot be written.
+    """
+    material = gather(run_folder)
+    sections = []
+    for i, make in enumerate(SECTIONS):
+        progress("report", i / (len(SECTIONS) + 1))
+        sections.append(make(material))
+    sections.append(making_section(material))
+    environment = Environment(
+        loader=PackageLoader("defplan_mj.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    page = environment.get_template("report.html").render(
+        title=material.task,
+        seed=material.config.get("seed", _seed_of(material.folder)),
+        description=material.spec.description if material.spec else "",
+        facts=summary(material),
+        sections=sections,
+    )
+    path = material.folder / REPORT_FILE
+    files.write_text(path, page)
+    progress("report", 1.0)
+    return path
+
+
+def summary(material: Material) -> list[Fact]:
+    """Return the figures that one wants first."""
+    facts = []
+    for label, result in evaluations(material.documents.get("evaluation")):
+        n, success = episodes(result), rate(result, "success")
+        low, high = wilson(round(success * n), n)
+        detail = f"{label.replace('_', ' ')}; 95%: {100 * low:.0f} to {100 * high:.0f}%"
+        facts.append(Fact(percent(success), f"of {n} targets reached", detail))
+    results = material.find("gait")
+    for task in (results.get("tasks", []) if isinstance(results, dict) else [])[:1]:
+        facts.append(Fact(f"{task['advance_m']:.2f} m", "a cycle", f"gait '{task['name']}'"))
+    stages = {k: v for k, v in material.seconds.items() if k != "total"}
+    if stages:
+        facts.append(
+            Fact(duration(sum(stages.values())), "of computing", "all stages, mesh to report")
+        )
+    return facts
+
+
+def making_section(material: Material) -> Section:
+    """Return what the run was asked for and what made it."""
+    section = Section("making", "How this was made")
+    run = material.documents.get("run", {})
+    if not run:
+        section.blocks.append(Missing("run.json is missing: nothing says how this was made."))
+        return section
+    seed = material.config.get("seed", 0)
+    section.blocks.append(
+        Text(f"defplan run {material.task} --seed {seed} --fresh makes it again, to the bit.")
+    )
+    rows = [[str(k), _plain(v)] for k, v in material.config.items()]
+    section.blocks.append(Table(["asked for", ""], rows))
+    versions = run.get("versions", {})
+    section.blocks.append(Table(["version", ""], [[str(k), str(v)] for k, v in versions.items()]))
+    hashes = [
+        [name, part.hash[:16] if hasattr(part, "hash") else part.body_hash[:16]]
+        for name, part in (("body", material.body), ("gait's body", material.gait))
+        if part is not None
+    ]
+    if hashes:
+        section.blocks.append(Table(["content hash", ""], hashes))
+    return section
+
+
+def _plain(value: object) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _seed_of(folder: Path) -> str:
+    return folder.name.rpartition("-seed")[2] if "-seed" in folder.name else "–"

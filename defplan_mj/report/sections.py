@@ -1,0 +1,237 @@
+"""The report's sections on body, gaits and surrogate: the first stage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from defplan_mj.report.body_figures import mesh_figures, mode_figure
+from defplan_mj.report.content import (
+    Block,
+    Figures,
+    Missing,
+    Section,
+    Table,
+    Text,
+    drawing,
+    duration,
+    mean_sd,
+    number,
+)
+from defplan_mj.report.gait_figures import controls_figure, path_figure
+from defplan_mj.report.material import Material
+
+
+def missing(material: Material, *names: str) -> Missing:
+    """Return the sentence on files that a section needs and does not have."""
+    for name in names:
+        if name in material.faults:
+            return Missing(f"{material.faults[name]}.")
+    what = " and ".join(names)
+    return Missing(f"Not made yet ({what}): defplan run {material.task} makes it.")
+
+
+def body_section(material: Material) -> Section:
+    """Return mesh, modes and what the reduction keeps."""
+    section = Section("body", "Body and modes")
+    body, dynamics = material.body, material.dynamics
+    if body is None or dynamics is None:
+        section.blocks.append(missing(material, "body.npz"))
+        return section
+    quality = body.source.get("quality", {})
+    paper = material.paper
+    rows = [
+        ["vertices", str(len(body.vertices)), str(paper.get("vertices", "–"))],
+        ["tetrahedra", str(len(body.tetrahedra)), "–"],
+        ["quality of tetrahedra, minimum / mean", _pair(quality, "min", "mean"), "–"],
+        ["degrees of freedom, full / reduced", f"{body.vertices.size} / {6 + body.n_modes}",
+         f"{3 * paper['vertices']} / {paper['dof']}" if "dof" in paper else "–"],
+        ["displacement basis k / sampled tetrahedra", f"{body.n_basis} / {len(body.sampled)}", "–"],
+        ["length / mass", f"{body.length:.2f} m / {body.mass:.2f} kg", "1 m / –"],
+        ["Young's modulus / Poisson's ratio",
+         f"{body.material.youngs_modulus:.3g} Pa / {body.material.poissons_ratio:g}", "–"],
+    ]  # fmt: skip
+    section.blocks += [
+        Text(
+            f"The body is built from {body.source.get('mesh', 'a mesh')}. A shape is a few modal "
+            "coordinates q; the rotation-strain map turns them into a displacement that keeps its "
+            "volume at large bends, and a second reduction makes it cheap enough for real time."
+        ),
+        Figures(
+            [drawing(figure, shaded=True) for figure in mesh_figures(body)],
+            "The tetrahedral mesh, whole, and without the half nearer to the viewer, so that the "
+            "tetrahedra inside (yellow) show.",
+        ),
+        Figures(
+            [drawing(mode_figure(body, dynamics, i), shaded=True) for i in range(body.n_modes)],
+            "Every linear mode at minus and plus the largest amplitude that gaits may ask for, as "
+            "the reduced body takes it. The frequency is that of small vibrations in vacuum.",
+        ),
+        Table(["", "here", "paper"], rows, "The body in figures."),
+    ]
+    return section
+
+
+def gait_section(material: Material) -> Section:
+    """Return control curves, paths, and what switching between the gaits gives."""
+    section = Section("gaits", "Gaits")
+    gait, dynamics = material.gait, material.dynamics
+    if gait is None or dynamics is None:
+        section.blocks.append(missing(material, "body.npz" if gait else "gait.npz"))
+        return section
+    if gait.body_hash != dynamics.body.hash:
+        section.blocks.append(Missing("The gaits belong to another body than this folder's."))
+        return section
+    solver = gait.meta.get("solver", "")
+    section.blocks.append(
+        Text(
+            f"{len(gait.task_names)} gaits share one period of {gait.cycle_seconds:.2f} s "
+            f"({gait.steps_per_cycle} steps of {gait.timestep:g} s) and their phase shifts; each has "
+            "its own activations. A gait is a target shape that the body's muscles pull to: it is "
+            "open loop, the same whatever the body does."
+            + (f" Solver: {solver}." if solver else "")
+        )
+    )
+    for task, name in enumerate(gait.task_names):
+        pair = [
+            drawing(controls_figure(gait, task)),
+            drawing(path_figure(gait, task, dynamics)),
+        ]
+        section.blocks.append(
+            Figures(
+                pair,
+                f"Gait '{name}': the target shape of each modal coordinate over two cycles, and the "
+                "path of the centre of mass (green, a black dot a cycle) when the gait is played "
+                "from rest, with the body's silhouette from above.",
+            )
+        )
+    section.blocks += _gait_tables(material)
+    return section
+
+
+def _gait_tables(material: Material) -> list[Block]:
+    """Return the tables on advance and yaw a cycle, on switching, and on the solvers."""
+    blocks: list[Block] = []
+    results = material.find("gait")
+    tasks = results.get("tasks", []) if isinstance(results, dict) else []
+    if tasks:
+        rows = [
+            [
+                task["name"],
+                mean_sd(task.get("advance_m"), task.get("advance_sd")),
+                mean_sd(task.get("yaw_rad"), task.get("yaw_sd")),
+            ]
+            for task in tasks
+        ]
+        switching = results.get("switching") or {}
+        note = ""
+        if switching:
+            note = f" {switching.get('falls')} falls in {switching.get('cycles')} cycles."
+        caption = "What a cycle does while gaits are switched at random (mean ± sd)." + note
+        blocks.append(Table(["gait", "advance (m)", "yaw (rad)"], rows, caption))
+    else:
+        blocks.append(Missing("Advance and yaw a cycle under switching were not measured yet."))
+    solvers = solver_rows(material.find("gait_solvers"))
+    if solvers:
+        columns = ["solver", "objective", "after re-simulation", "seconds", "forward (m a cycle)"]
+        caption = (
+            "The gait solvers on the same problem. A solver's own objective counts for nothing "
+            "until the gait it found is simulated again, step by step."
+        )
+        blocks.append(Table(columns, solvers, caption))
+    else:
+        blocks.append(Missing("The gait solvers were not compared in this run."))
+    return blocks
+
+
+def solver_rows(solvers: Any) -> list[list[str]]:
+    """Return a row a solver: its own objective, the re-simulated one, seconds, advance."""
+    if not isinstance(solvers, list):
+        return []
+    return [
+        [
+            str(solver.get("name", "")),
+            number(solver.get("objective")),
+            number(solver.get("resimulated")),
+            number(solver.get("seconds"), 1),
+            number(solver.get("advance_m")),
+        ]
+        for solver in solvers
+    ]
+
+
+def surrogate_section(material: Material) -> Section:
+    """Return Table III's row, here and in the paper."""
+    section = Section("surrogate", "Rigid surrogate")
+    surrogate = material.surrogate
+    if surrogate is None:
+        section.blocks.append(missing(material, "surrogate.npz"))
+        return section
+    paper = material.paper
+    theirs = list(paper.get("tasks", ()))
+    rows = []
+    for k, name in enumerate(surrogate.task_names):
+        row = [
+            name,
+            mean_sd(surrogate.rotation_mean[k], surrogate.rotation_sd[k]),
+            mean_sd(surrogate.translation_mean[k], surrogate.translation_sd[k]),
+        ]
+        if name in theirs:
+            i = theirs.index(name)
+            row.append(mean_sd(paper["rotation_mean"][i], paper["rotation_sd"][i]))
+            row.append(mean_sd(paper["translation_mean"][i], paper["translation_sd"][i]))
+        else:
+            row += ["–", "–"]
+        rows.append(row)
+    columns = ["gait", "rotation (rad)", "translation (m)", "paper: rotation", "paper: translation"]
+    shares = surrogate.translation_sd / np.maximum(surrogate.translation_mean, 1e-12)
+    section.blocks += [
+        Text(
+            f"For planning, a whole cycle of a gait is one rigid motion, fitted to {surrogate.pairs} "
+            "pairs of states before and after a cycle while gaits are switched at random. The "
+            "spread says how far a single cycle is from it: here the translation's standard "
+            f"deviation is {100 * shares.min():.0f} to {100 * shares.max():.0f}% of its mean."
+        ),
+        Table(
+            columns,
+            rows,
+            "Rotation and translation a cycle, mean ± standard deviation over the pairs, beside "
+            "the paper's Table III.",
+        ),
+    ]
+    return section
+
+
+def time_section(material: Material) -> Section:
+    """Return the seconds of each stage beside the paper's Table I."""
+    section = Section("time", "Seconds per stage")
+    seconds, paper = dict(material.seconds), material.paper
+    if not seconds:
+        section.blocks.append(missing(material, "run.json"))
+        return section
+    theirs = {"gait": paper.get("gait_h"), "planner": None}
+    if "dql_h" in paper:
+        theirs["planner"] = paper["dql_h"] + paper.get("cnn_h", 0.0)
+    rows = []
+    for stage in ("body", "gait", "surrogate", "planner", "evaluation", "report"):
+        if stage in seconds:
+            hours = theirs.get(stage)
+            ratio = f"{3600 * hours / seconds[stage]:.0f}×" if hours and seconds[stage] else "–"
+            rows.append([stage, duration(seconds[stage]), f"{hours:g} h" if hours else "–", ratio])
+    stages = [v for k, v in seconds.items() if k != "total"]
+    rows.append(["total", duration(sum(stages)), "–", "–"])
+    section.blocks.append(
+        Table(
+            ["stage", "here", "paper", "faster by"],
+            rows,
+            "Wall time of each stage in this run, beside the paper's Table I (an 8-core CPU; its "
+            "planner's time is DQL and CNN features together). A stage that was reused counts with "
+            "the time it took when it was made.",
+        )
+    )
+    return section
+
+
+def _pair(values: dict[str, float], *names: str) -> str:
+    return " / ".join(number(values.get(name), 2) for name in names)
