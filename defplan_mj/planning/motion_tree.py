@@ -65,4 +65,4 @@ class MotionTree:
             count = self.gaits**level
             alive = alive.repeat(self.gaits) & free[offset : offset + count]
             offset += count
-        return alive.reshape(self.gaits, -1).any(1)
+        return np.any(alive.reshape(self.gaits, -1), axis=1)

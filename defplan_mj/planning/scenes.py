@@ -107,6 +107,27 @@ class SceneBatch:
             max_cycles=scenes[0].max_cycles if scenes else 200,
         )
 
+    @classmethod
+    def join(cls, batches: list[SceneBatch]) -> SceneBatch:
+        """Return the scenes of all batches, which share goal radius and time-out, as one."""
+        most = max(batch.radii.shape[1] for batch in batches)
+        padded = []
+        for batch in batches:
+            spare = ((0, 0), (0, most - batch.radii.shape[1]))
+            centres = np.pad(batch.centres, (*spare, (0, 0)), constant_values=FAR)
+            velocities = np.pad(batch.velocities, (*spare, (0, 0)))
+            padded.append((centres, np.pad(batch.radii, spare), velocities))
+        centres, radii, velocities = (np.concatenate(parts) for parts in zip(*padded, strict=True))
+        return cls(
+            targets=np.concatenate([batch.targets for batch in batches]),
+            yaw=np.concatenate([batch.yaw for batch in batches]),
+            centres=centres,
+            radii=radii,
+            velocities=velocities,
+            goal_radius=batches[0].goal_radius,
+            max_cycles=batches[0].max_cycles,
+        )
+
 
 def scene_batch(
     navigation: Navigation,

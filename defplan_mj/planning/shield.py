@@ -61,8 +61,8 @@ class Shield:
             close = from_way < (self.radius + margin) ** 2
             # Who is inside the margin already may move away, though not touch.
             leaving = leaves & (from_start < (self.radius + margin) ** 2)
-            free = ~(touches | (close & ~leaving)).any(0)
-            safe = self.tree.first_gaits(free, depth)
+            hits = touches | (close & ~leaving)
+            safe = self.tree.first_gaits(~np.any(hits, axis=0), depth)
             if safe.any():
                 return safe
         clearance = from_way[:, :gaits].min(0)

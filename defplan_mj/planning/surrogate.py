@@ -49,8 +49,8 @@ class Surrogate:
 
     def save(self, path: str | Path) -> None:
         """Write the surrogate to `path` (npz), atomically."""
-        names = ("rotations", "translations", "rotation_mean", "rotation_sd")
-        names += ("translation_mean", "translation_sd")
+        names = ["rotations", "translations", "rotation_mean", "rotation_sd"]
+        names += ["translation_mean", "translation_sd"]
         meta = {
             "body_hash": self.body_hash,
             "gait_hash": self.gait_hash,

@@ -1,0 +1,149 @@
+"""Planner `dql`: deep Q-learning on the rigid surrogate; acts by a small network in plain NumPy.
+
+The recipe is in `dql_training.py`, which is imported only to train: acting needs no torch.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from defplan_mj import files
+from defplan_mj.errors import DefplanError
+from defplan_mj.planning.observation import features
+from defplan_mj.planning.planner import Observation, Planner, TrainResult
+from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.task import Navigation, Progress, no_progress
+
+FORMAT_VERSION = 1
+SAFETY_SECONDS = 90.0
+"""Wall time after which training stops even if its transitions are not used up, s."""
+
+
+@dataclass(frozen=True)
+class QNetwork:
+    """A fully connected network with softplus units (the paper's BNLL): features to gait values.
+
+    Attributes:
+        weights: of each layer, (outputs, inputs).
+        biases: of each layer, (outputs,).
+    """
+
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
+
+    def __call__(self, inputs: np.ndarray) -> np.ndarray:
+        """Return the (..., K) values of (..., inputs) features."""
+        hidden = inputs
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            hidden = np.logaddexp(hidden @ weight.T + bias, np.float32(0))
+        return hidden @ self.weights[-1].T + self.biases[-1]
+
+
+@dataclass(frozen=True)
+class DqlPlanner:
+    """A trained Q network as a planner.
+
+    Attributes:
+        network: values of the gaits.
+        task_names: the gaits.
+        laser_range: m.
+        meta: how it was trained.
+    """
+
+    network: QNetwork
+    task_names: tuple[str, ...]
+    laser_range: float
+    meta: dict
+
+    def reset(self) -> None:
+        """Do nothing: the network has no memory."""
+
+    def values(self, observation: Observation) -> np.ndarray:
+        """Return the (K,) Q values."""
+        return self.network(features(observation["laser"], observation["target"], self.laser_range))
+
+
+class DqlSolver:
+    """The planner plugin `dql`."""
+
+    kind = "planner"
+    name = "dql"
+    summary = "deep Q-learning on the surrogate (stable-baselines3), many varied scenes at once"
+    needs_training = True
+
+    def train(
+        self,
+        surrogate: Surrogate,
+        navigation: Navigation,
+        seed: int,
+        seconds: float | None = None,
+        progress: Progress = no_progress,
+    ) -> TrainResult:
+        """Train a network; the same seed gives the same network to the bit.
+
+        Curves, one entry a checkpoint: `transitions`; `k2_reward_mean`, `_min`, `_max` (Eq. 2 over
+        an episode) and `k2_success` on the K2 scenes of this seed; `novel_success`;
+        `validation_score` and `validation_score_averaged` (success less time-outs), by which the
+        network is chosen.
+
+        Args:
+            seconds: limit of the wall time (default 90); reached, the result depends on the machine.
+        """
+        from defplan_solvers.dql_training import Recipe, train
+
+        started = time.perf_counter()
+        limit = SAFETY_SECONDS if seconds is None else seconds
+        network, curves, meta = train(surrogate, navigation, seed, Recipe(), limit, progress)
+        planner = DqlPlanner(network, surrogate.task_names, navigation.laser_range, meta)
+        return TrainResult(planner, curves, time.perf_counter() - started)
+
+    def save(self, planner: Planner, path: Path) -> None:
+        """Write the network to `path` (npz), atomically."""
+        assert isinstance(planner, DqlPlanner)
+        arrays: dict[str, np.ndarray] = {}
+        network = planner.network
+        for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+            arrays[f"weight{i}"], arrays[f"bias{i}"] = weight, bias
+        meta = {
+            "planner": self.name,
+            "layers": len(network.weights),
+            "task_names": list(planner.task_names),
+            "laser_range": planner.laser_range,
+            "training": planner.meta,
+        }
+        files.save_archive(path, "policy", FORMAT_VERSION, arrays, meta)
+
+    def load(self, path: Path, surrogate: Surrogate, navigation: Navigation) -> DqlPlanner:
+        """Read a network of `save`.
+
+        Raises:
+            DefplanError: the file is missing, damaged, of another version, planner or robot.
+        """
+        arrays, meta, _ = files.load_archive(path, "policy", FORMAT_VERSION)
+        if meta.get("planner") != self.name:
+            raise DefplanError(
+                f"{path} holds a policy of {meta.get('planner')}, not of {self.name}: train it anew"
+            )
+        layers = range(meta["layers"])
+        network = QNetwork(
+            tuple(arrays[f"weight{i}"] for i in layers), tuple(arrays[f"bias{i}"] for i in layers)
+        )
+        inputs = len(features(np.zeros(navigation.beams), np.ones(2), navigation.laser_range))
+        if network.weights[0].shape[1] != inputs:
+            raise DefplanError(
+                f"{path} wants {network.weights[0].shape[1]} inputs, this task's laser and target"
+                f" give {inputs}: train the planner anew"
+            )
+        if tuple(meta["task_names"]) != surrogate.task_names:
+            raise DefplanError(
+                f"{path} was trained for the gaits {', '.join(meta['task_names'])}, not for"
+                f" {', '.join(surrogate.task_names)}: train the planner anew"
+            )
+        return DqlPlanner(network, surrogate.task_names, meta["laser_range"], meta["training"])
+
+
+SOLVER = DqlSolver()
