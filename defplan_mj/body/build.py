@@ -109,7 +109,7 @@ def build_body(
     reduction = reduce_shapes(exact, mass, amplitude, options.basis, options.samples)
     shapes = np.concatenate([mesh.vertices[:, :, None], reduction.basis], axis=2)
     progress("placing the drag patches", 0.95)
-    patches = drag_patches(mesh, shapes, options.patches)
+    patches = drag_patches(mesh, shapes, modes, options.patches)
     faces, _ = boundary(mesh.tetrahedra)
     body = Body(
         name=name or Path(mesh_path).stem,

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from defplan_mj.body.tetmesh import TetMesh, boundary, shape_gradients
 
-_NORMAL_WEIGHT = 0.25  # of a unit normal against a position, in body lengths
+_MIRROR_TOLERANCE = 1e-3  # of the median triangle, in body lengths
+# Typical speeds: lengths a second, rad a second, units of q a second; and what a place counts for.
+_TRANSLATION, _ROTATION, _MODE, _PLACE = 1.0, 4.0, 10.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -40,20 +43,65 @@ def weighted_clusters(
     return np.unique(labels, return_inverse=True)[1]
 
 
-def drag_patches(mesh: TetMesh, shapes: np.ndarray, count: int, seed: int = 0) -> Patches:
-    """Cluster the surface by place and normal.
+def surface_clusters(
+    centre: np.ndarray,
+    vector: np.ndarray,
+    modes: np.ndarray,
+    count: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Return labels (f,) of triangles in `count` clusters that move alike along their normals.
+
+    Drag depends on the speed along the normal, so triangles belong together if that is the same
+    in every translation, rotation and mode, each at a speed typical of swimming.
+
+    A surface that is its own mirror image in the plane y = 0 gets clusters in mirrored pairs, so
+    that the drag of a symmetric body is symmetric.
+
+    Args:
+        centre: (f, 3) centroids, m.
+        vector: (f, 3) area vectors, m^2.
+        modes: (f, 3, r) modes at the centroids, m.
+    """
+    area = np.linalg.norm(vector, axis=1)
+    normal = vector / area[:, None]
+    length = np.ptp(centre, axis=0).max()
+    speeds = [
+        _TRANSLATION * length * normal,
+        _ROTATION * np.cross(centre, normal),
+        _MODE * np.einsum("fir,fi->fr", modes, normal),
+        _PLACE * centre,
+    ]
+    features = np.hstack(speeds)
+    place = np.hstack([centre, 0.2 * length * normal])
+    mirrored = place * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+    distance, _ = cKDTree(place).query(mirrored)
+    if count < 2 or np.median(distance) > _MIRROR_TOLERANCE * length:
+        return weighted_clusters(features, area, count, rng)
+    left = place[:, 1] + place[:, 4] > 0.0  # on the plane the normal decides
+    half = weighted_clusters(features[left], area[left], count // 2, rng)
+    _, twin = cKDTree(place[left]).query(mirrored[~left])
+    labels = np.zeros(len(area), dtype=np.int64)
+    labels[left], labels[~left] = 2 * half, 2 * half[twin] + 1
+    return np.unique(labels, return_inverse=True)[1]
+
+
+def drag_patches(
+    mesh: TetMesh, shapes: np.ndarray, modes: np.ndarray, count: int, seed: int = 0
+) -> Patches:
+    """Divide the surface into patches.
 
     Args:
         shapes: (n, 3, k+1) rest positions | basis.
+        modes: (n, 3, r) linear modes, m.
         count: patches wanted; fewer come back if the surface has fewer triangles.
     """
     faces, owner = boundary(mesh.tetrahedra)
     a, b, c = (mesh.vertices[faces[:, i]] for i in range(3))
     vector = 0.5 * np.cross(b - a, c - a)
     area = np.linalg.norm(vector, axis=1)
-    length = np.ptp(mesh.vertices, axis=0).max()
-    place = np.hstack([(a + b + c) / 3.0, _NORMAL_WEIGHT * length * vector / area[:, None]])
-    labels = weighted_clusters(place, area, count, np.random.default_rng(seed))
+    place, moves = (a + b + c) / 3.0, modes[faces].mean(1)
+    labels = surface_clusters(place, vector, moves, count, np.random.default_rng(seed))
 
     gradients = shape_gradients(mesh.vertices, mesh.tetrahedra)[owner]
     moved = np.einsum("eaj,eaik->eijk", gradients, shapes[mesh.tetrahedra[owner]])
