@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import importlib.metadata
 import json
-import platform
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
@@ -47,18 +45,6 @@ def input_hash(inputs: Mapping[str, Any]) -> str:
     """Return the hash of a stage's inputs, this version of defplan among them."""
     text = json.dumps({"defplan": __version__, **inputs}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that results depend on."""
-    names = ("casadi", "dm-control", "mujoco", "numpy", "scipy", "stable-baselines3", "torch")
-    found = {"defplan": __version__, "python": platform.python_version()}
-    for name in names:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
 
 
 class RunFolder:
@@ -172,6 +158,8 @@ class RunFolder:
             return {}
 
     def _write(self) -> None:
+        from defplan_mj.log.recorder import versions  # here: it loads a lot
+
         data = {
             "format": FORMAT_VERSION,
             "config": self.config,

@@ -6,16 +6,13 @@ What is heavy to import is imported where it is used, so that `defplan --help` a
 from __future__ import annotations
 
 import argparse
-import dataclasses
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from defplan_mj.cli.console import Console, table
 from defplan_mj.errors import DefplanError
 
 if TYPE_CHECKING:
-    from defplan_mj.body.model import Body
-    from defplan_mj.task import BodyOptions
+    from defplan_mj.task import Progress, TaskSpec
 
 
 def list_installed(arguments: argparse.Namespace, console: Console) -> int:
@@ -90,8 +87,52 @@ def evaluate(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def bench(arguments: argparse.Namespace, console: Console) -> int:
-    """Not yet."""
-    raise DefplanError("not yet")
+    """Time the reduced step and its peers on the task's body, which is built if it is not there."""
+    from defplan_mj import registry
+    from defplan_mj.bench import bench as measure
+
+    spec = registry.get_task(arguments.task)
+    with console.progress() as progress, _open(arguments, spec, progress) as run:
+        data = measure(spec, run.body, progress, arguments.quick)
+    console.result(data, _bench_text(data))
+    return 0
+
+
+def _bench_text(data: dict[str, Any]) -> str:
+    """Return the figures as a table."""
+    step = next(iter(data["reduced_step_us"].values()))
+    flex, is_of, adjoint = data["mujoco_flex_step_ms"], data["conditions"], data["adjoint_step_us"]
+    cycle = data["environment_step_us"]
+    rows = [
+        ["reduced step", f"{step['median']:.1f} µs", f"{step['p99']:.1f} µs"],
+        ["  in a rollout, per step", f"{data['rollout_step_us']:.1f} µs", ""],
+        ["  its adjoint", f"{adjoint['median']:.1f} µs", f"{adjoint['p99']:.1f} µs"],
+        ["full FEM step (f)", f"{data['full_fem_step_ms']:.0f} ms", ""],
+        ["MuJoCo flex step, full", f"{flex['full']:.2f} ms", ""],
+        ["MuJoCo flex step, trilinear", f"{flex['trilinear']:.2f} ms", ""],
+        ["surrogate transition, with laser", f"{1e6 / data['surrogate_transitions_per_s']:.2f} µs", ""],
+        [f"laser scan, {is_of['beams']} beams", f"{data['laser_scan_us']:.1f} µs", ""],
+        ["clearance", f"{data['clearance_us']:.1f} µs", ""],
+        ["environment, per physics step", f"{cycle['median']:.1f} µs", f"{cycle['p99']:.1f} µs"],
+    ]
+    lines = [
+        table(["one call", "median", "99%"], rows),
+        f"two threads do rollouts {data['rollout_two_thread_speed_up']:.2f} times as fast as one;"
+        f" the environment runs {data['environment_real_time_factor']:.0f} times real time",
+        f"{is_of['task']}: {is_of['vertices']} vertices, r = {is_of['modes']}, k = {is_of['basis']},"
+        f" time step {is_of['timestep_s']} s; an empty call takes {data['empty_call_us']:.2f} µs",
+    ]
+    if is_of["quick"]:
+        lines.append("few repeats (--quick): not to be quoted")
+    return "\n".join(lines)
+
+
+def _open(arguments: argparse.Namespace, spec: TaskSpec, progress: Progress, **options: Any) -> Any:
+    """Return the run (a context manager) that the arguments name."""
+    from defplan_mj.run import RunOptions, open_run
+
+    chosen = RunOptions(seed=arguments.seed, **options)
+    return open_run(spec, arguments.logs, chosen, progress)
 
 
 def view(arguments: argparse.Namespace, console: Console) -> int:

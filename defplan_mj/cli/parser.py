@@ -160,6 +160,8 @@ def _evaluate(sub: argparse.ArgumentParser) -> None:
 
 
 def _bench(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("task", metavar="TASK", nargs="?", default="fish-swim",
+                     help="whose body is timed (default: fish-swim)")  # fmt: skip
     sub.add_argument(
         "--quick", action="store_true", help="fewer repeats: to try it, not to quote it"
     )

@@ -1,0 +1,346 @@
+"""The benchmark: the reduced step beside f, MuJoCo's flex and f_fit, and what a cycle is made of.
+
+All in one process and one run, on one core unless a name says otherwise, after warm-up. Times of single
+calls are taken around the compiled function itself (arguments are laid out before), and the time of an
+empty call of the same kind is stated beside them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from defplan_mj import threads
+from defplan_mj.body.model import Body
+from defplan_mj.dynamics.full_fem import FullFem
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.gait.gait import Gait
+from defplan_mj.kernel import library
+from defplan_mj.planning.scenes import Scene, novel_scenes, training_scenes
+from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.planning.surrogate_env import SurrogateEnv
+from defplan_mj.task import Progress, TaskSpec, no_progress
+
+OBSTACLES = 10
+ENVIRONMENTS = 256
+VIGOUR = 0.9  # of the largest amplitude a gait may ask for
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Wall times of one call, seconds."""
+
+    samples: np.ndarray
+
+    @property
+    def median(self) -> float:
+        """Half of the calls are faster."""
+        return float(np.median(self.samples))
+
+    @property
+    def p99(self) -> float:
+        """One call of a hundred is slower."""
+        return float(np.quantile(self.samples, 0.99))
+
+    def scaled(self, unit: float, digits: int = 2) -> dict[str, float]:
+        """Return median and p99 in units of `unit` seconds."""
+        return {
+            "median": round(self.median / unit, digits),
+            "p99": round(self.p99 / unit, digits),
+        }
+
+
+def measure(call: Callable[[], Any], repeats: int, warm: int = 3) -> Timing:
+    """Time `repeats` calls, after `warm` untimed ones."""
+    for _ in range(warm):
+        call()
+    samples = np.empty(repeats)
+    clock = time.perf_counter_ns
+    for i in range(repeats):
+        start = clock()
+        call()
+        samples[i] = clock() - start
+    return Timing(1e-9 * samples)
+
+
+def vigorous_gait(body: Body, timestep: float, steps_per_cycle: int) -> Gait:
+    """Return a gait that swings every mode through 90% of its amplitude, each at its own phase.
+
+    2 sinh(b cos) from two DMP elements; harder on the solver than an optimised gait.
+    """
+    r, sharpness = body.n_modes, 1.0
+    size = VIGOUR * body.amplitude / (2 * np.sinh(sharpness))
+    alpha = np.stack([size, -size])[None]
+    beta = np.stack([np.full(r, sharpness), np.full(r, -sharpness)])[None]
+    mu = np.tile(2 * np.pi * np.arange(r) / r, (2, 1))
+    return Gait(
+        body_hash=body.hash,
+        task_names=("vigorous",),
+        timestep=timestep,
+        steps_per_cycle=steps_per_cycle,
+        alpha=alpha,
+        beta=beta,
+        mu=mu,
+        amplitude=body.amplitude,
+    )
+
+
+class Kernel:
+    """The compiled functions, called with addresses: nothing is checked or copied on the way."""
+
+    def __init__(self, dynamics: ReducedDynamics) -> None:
+        self.dynamics = dynamics
+        self._lib = library.kernel()
+        self._blob, self._par = (a.ctypes.data for a in (dynamics.blob, dynamics.par))
+        self._sizes = (ctypes.c_int * 4)()
+
+    def function(self, name: str, result: Any, *kinds: Any) -> Any:
+        """Return a function of the library with plain argument types."""
+        return ctypes.CFUNCTYPE(result, *kinds)((name, self._lib))
+
+    def empty(self) -> Callable[[], Any]:
+        """Return a call that does next to nothing: what a call costs by itself."""
+        call = self.function("dp_sizes", None, ctypes.c_void_p, ctypes.c_void_p)
+        sizes = ctypes.addressof(self._sizes)
+        return lambda: call(self._blob, sizes)
+
+    def steps(self, states: np.ndarray, shapes: np.ndarray) -> Timing:
+        """Time each single step along a trajectory (N + 1, nx) under `shapes` (N, r)."""
+        call = self.function("dp_step", ctypes.c_int, *[ctypes.c_void_p] * 6)
+        out = np.empty(states.shape[1])
+        return self._along(call, (states, shapes, out, None), len(shapes))
+
+    def adjoints(self, states: np.ndarray, shapes: np.ndarray) -> Timing:
+        """Time the adjoint of each step of a trajectory."""
+        call = self.function("dp_step_adj", ctypes.c_int, *[ctypes.c_void_p] * 8)
+        nx = states.shape[1]
+        seed, gx, gu = np.ones(nx), np.empty(nx), np.empty(shapes.shape[1])
+        return self._along(call, (states, shapes, states[1:], seed, gx, gu), len(shapes))
+
+    def _along(self, call: Any, arrays: tuple[np.ndarray | None, ...], n: int) -> Timing:
+        """Time `call(blob, par, row i of each 2D array...)` for i < n."""
+        addresses = [
+            [None if a is None else a[i].ctypes.data if a.ndim == 2 else a.ctypes.data for i in range(n)]
+            for a in arrays
+        ]
+        rows = list(zip(*addresses, strict=True))
+        for row in rows[: min(n, 200)]:
+            call(self._blob, self._par, *row)
+        samples = np.empty(n)
+        clock = time.perf_counter_ns
+        blob, par = self._blob, self._par
+        for i, row in enumerate(rows):
+            start = clock()
+            call(blob, par, *row)
+            samples[i] = clock() - start
+        return Timing(1e-9 * samples)
+
+    def clearance(self, qpos: np.ndarray, scene: Scene) -> Callable[[], Any]:
+        """Return a call that finds the clearance to the scene's obstacles."""
+        call = self.function(
+            "dp_clearance", ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int,
+            ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p,
+        )  # fmt: skip
+        geoms = (library.Geom * len(scene.radii))()
+        for geom, centre, radius in zip(geoms, scene.centres, scene.radii, strict=True):
+            geom.type = 5  # cylinder
+            geom.size[:] = (radius, 3.0, 0.0)
+            geom.pos[:] = tuple(centre)
+            geom.mat[:] = tuple(np.eye(3).ravel())
+        state = np.ascontiguousarray(qpos)
+        address, count = ctypes.addressof(geoms), len(geoms)
+        return lambda: call(self._blob, state.ctypes.data, count, address, 1e3, None, None)
+
+
+def bench(
+    spec: TaskSpec, body: Body, progress: Progress = no_progress, quick: bool = False
+) -> dict[str, Any]:
+    """Measure everything for one task's body.
+
+    Args:
+        spec: the task: time step, cycle, navigation problem.
+        body: built from its mesh.
+        quick: a tenth of the repeats.
+
+    Returns:
+        JSON-able figures; a name ends in its unit.
+    """
+    threads.limit_threads(1)
+    few = 10 if quick else 1
+    name = spec.name.split("-")[0]
+    gait = vigorous_gait(body, spec.timestep, spec.steps_per_cycle)
+    dynamics = ReducedDynamics(body, spec.timestep)
+    kernel = Kernel(dynamics)
+
+    progress("bench: reduced step", 0.0)
+    cycles = 1000 // few
+    shapes = np.tile(gait.table()[0], (cycles, 1))
+    states = dynamics.rollout(dynamics.rest_state(), shapes)
+    empty = measure(kernel.empty(), 2000)
+    step = kernel.steps(states, shapes)
+    rollout = measure(lambda: dynamics.rollout(states[0], shapes[:1100]), 20 // few + 1, 1)
+    adjoint = kernel.adjoints(states, shapes)
+    iterations = np.mean([dynamics.step_info(x, u)[1].iterations
+                          for x, u in zip(states[:500], shapes[:500], strict=False)])  # fmt: skip
+
+    progress("bench: two threads", 0.1)
+    speed_up = two_thread_speed_up(dynamics, states[0], shapes[:1100], 20 // few + 2)
+
+    progress("bench: clearance and laser", 0.2)
+    scene = novel_scenes(spec.navigation, 1, 0, OBSTACLES)[0]
+    clearance = measure(kernel.clearance(states[-1][: 7 + body.n_modes], scene), 5000 // few)
+    environment = _environment(spec, body, gait, scene)
+    laser = measure(environment.physics.laser, 5000 // few)
+
+    progress("bench: environment", 0.3)
+    cycle = _environment_cycles(environment, 200 // few)
+
+    progress("bench: surrogate", 0.4)
+    surrogate = _transition(spec, body, gait, dynamics, 100 // few + 5)
+
+    progress("bench: MuJoCo's flex", 0.5)
+    flex = _flex(body, spec.timestep, 20 // few + 3)
+
+    progress("bench: full FEM", 0.7)
+    full = _full_fem(body, spec.timestep, gait, 20 // few + 2, progress)
+    progress("bench: full FEM", 1.0)
+
+    per_cycle = spec.steps_per_cycle
+    return {
+        "reduced_step_us": {name: step.scaled(1e-6)},
+        "full_fem_step_ms": round(full.median * 1e3, 1),
+        "mujoco_flex_step_ms": {key: round(value, 2) for key, value in flex.items()},
+        "surrogate_transitions_per_s": round(ENVIRONMENTS / surrogate.median),
+        "laser_scan_us": round(laser.median * 1e6, 1),
+        "rollout_step_us": round(rollout.median * 1e6 / min(len(shapes), 1100), 2),
+        "newton_iterations": round(float(iterations), 2),
+        "rollout_two_thread_speed_up": round(speed_up, 2),
+        "adjoint_step_us": adjoint.scaled(1e-6),
+        "clearance_us": round(clearance.median * 1e6, 1),
+        "environment_step_us": cycle.scaled(1e-6 * per_cycle, 1),
+        "environment_real_time_factor": round(gait.cycle_seconds / cycle.median, 1),
+        "empty_call_us": round(empty.median * 1e6, 2),
+        "conditions": {
+            "task": spec.name,
+            "vertices": len(body.vertices),
+            "modes": body.n_modes,
+            "basis": body.n_basis,
+            "timestep_s": spec.timestep,
+            "surface_points": len(body.surface),
+            "obstacles": OBSTACLES,
+            "beams": spec.navigation.beams,
+            "surrogate_environments": ENVIRONMENTS,
+            "quick": quick,
+        },
+    }
+
+
+def two_thread_speed_up(
+    dynamics: ReducedDynamics, x: np.ndarray, shapes: np.ndarray, repeats: int
+) -> float:
+    """Return how much faster two threads do a batch of rollouts than one; the median of pairs."""
+    if threads.available_cores() < 2:
+        return float("nan")
+
+    def batch(pool: ThreadPoolExecutor) -> float:
+        start = time.perf_counter()
+        list(pool.map(lambda _: dynamics.rollout(x, shapes), range(4)))
+        return time.perf_counter() - start
+
+    with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(2) as two:
+        batch(one), batch(two)
+        return float(np.median([batch(one) / batch(two) for _ in range(repeats)]))
+
+
+def _environment(spec: TaskSpec, body: Body, gait: Gait, scene: Scene) -> Any:
+    """Return the navigation environment in `scene`."""
+    from defplan_mj.host.navigation import navigation_environment
+
+    environment = navigation_environment(
+        body, gait, spec.navigation, lambda random: scene, scene=scene
+    )
+    environment.reset()
+    return environment
+
+
+def _environment_cycles(environment: Any, repeats: int) -> Timing:
+    """Time whole gait cycles of `env.step`, laser and contact queries included."""
+
+    def cycle() -> float:
+        if environment.task.outcome != "running":
+            environment.reset()
+        start = time.perf_counter()
+        environment.step(0)
+        return time.perf_counter() - start
+
+    samples, whole = [], environment.task.gait.cycle_seconds
+    for _ in range(5):
+        cycle()
+    while len(samples) < repeats:
+        before = environment.physics.time()
+        seconds = cycle()
+        if abs(environment.physics.time() - before - whole) < 1e-9:  # not cut short by the end
+            samples.append(seconds)
+    return Timing(np.array(samples))
+
+
+def _transition(
+    spec: TaskSpec, body: Body, gait: Gait, dynamics: ReducedDynamics, repeats: int
+) -> Timing:
+    """Time one step of the training environment: all its robots, laser scans included."""
+    x = dynamics.rollout(dynamics.rest_state(), np.tile(gait.table()[0], (3, 1)))[-1]
+    moved = np.linalg.norm(x[:3]) / 3
+    surrogate = Surrogate(
+        body_hash=body.hash,
+        gait_hash="",
+        task_names=("forward", "left", "right"),
+        rotations=np.stack([_turn(a) for a in (0.0, 0.6, -0.6)]),
+        translations=np.tile([max(moved, 0.5), 0.0, 0.0], (3, 1)),
+        cycle_seconds=gait.cycle_seconds,
+        pairs=0,
+        rotation_mean=np.zeros(3),
+        rotation_sd=np.zeros(3),
+        translation_mean=np.zeros(3),
+        translation_sd=np.zeros(3),
+        radius=0.5 * body.length,
+    )
+    scenes = training_scenes(spec.navigation, 512, 0)
+    generator = np.random.default_rng(0)
+    environment = SurrogateEnv(surrogate, spec.navigation, scenes, ENVIRONMENTS, generator)
+    actions = generator.integers(0, 3, (64, ENVIRONMENTS))
+    count = iter(range(10**9))
+    return measure(lambda: environment.step(actions[next(count) % 64]), repeats, 5)
+
+
+def _turn(angle: float) -> np.ndarray:
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _flex(body: Body, timestep: float, steps: int) -> dict[str, float]:
+    from defplan_mj.host.flex_peer import flex_step_ms
+
+    return flex_step_ms(body, timestep, steps)
+
+
+def _full_fem(
+    body: Body, timestep: float, gait: Gait, repeats: int, progress: Progress
+) -> Timing:
+    """Time f along the same gait, from rest; it swells over a cycle, since f has no way to clip it."""
+    fem = FullFem(body, timestep)
+    before = now = fem.shape(np.zeros(body.n_modes))
+    table = gait.table()[0]
+    table = table * np.minimum(np.arange(1, len(table) + 1) / len(table), 1.0)[:, None]
+    samples = []
+    for i in range(repeats):
+        progress("bench: full FEM", 0.7 + 0.3 * i / repeats)
+        start = time.perf_counter()
+        before, now = now, fem.step(now, before, table[i % len(table)])
+        samples.append(time.perf_counter() - start)
+    return Timing(np.array(samples[2:]))
