@@ -192,7 +192,7 @@ def _blend(colour: np.ndarray, other: np.ndarray, share: np.ndarray) -> np.ndarr
 
 
 def _to_target(physics: Physics) -> np.ndarray:
-    return physics.named.data.site_xpos[TARGET] - physics.com()
+    return physics.target() - physics.com()
 
 
 def _body(body: Body | None) -> Body:
@@ -207,7 +207,7 @@ def _packaged(name: str) -> Path:
     path = ASSETS / name
     if not path.is_file():
         raise DefplanError(
-            f"the packaged file {path} is missing: make it with `defplan run fish-swim`,"
+            f"the packaged file {path} is missing: reinstall defplan,"
             " or hand in your own with task_kwargs={'body': ..., 'gait': ...}"
         )
     return path

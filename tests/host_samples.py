@@ -38,7 +38,9 @@ def gait() -> Gait:
     alpha[:, 1, 1], alpha[:, 3, 1] = 0.5, -0.5
     beta[:, :4, :2] = 1.0
     alpha[1, 4, 0], alpha[2, 4, 0] = 0.4, -0.4
-    return Gait(fish().hash, ("forward", "left", "right"), 0.04, 11, alpha, beta, mu, fish().amplitude)
+    return Gait(
+        fish().hash, ("forward", "left", "right"), 0.04, 11, alpha, beta, mu, fish().amplitude
+    )
 
 
 def scene(
@@ -60,7 +62,9 @@ def physics(max_obstacles: int = 4, **kwargs) -> Physics:
     return Physics.from_mjmodel(compile_model(spec))
 
 
-def place(physics: Physics, position=(0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0), q=None) -> None:
+def place(
+    physics: Physics, position=(0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0), q=None
+) -> None:
     """Put the robot somewhere, at rest."""
     with physics.reset_context():
         state = np.zeros(13 + 2 * physics.n_modes)

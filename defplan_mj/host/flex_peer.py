@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from defplan_mj.body.model import Body
+from defplan_mj.body.tetmesh import volumes
 from defplan_mj.errors import DefplanError
 
 PARAMETRISATIONS = ("full", "trilinear")
@@ -58,10 +59,17 @@ def _median_step(body: Body, kind: str, timestep: float, steps: int, rate: float
 
 
 def flex_model(body: Body, kind: str, timestep: float) -> mujoco.MjModel:
-    """Return a model of the body as a flex of the given kind of degrees of freedom."""
+    """Return a model of the body as a flex of the given kind of degrees of freedom.
+
+    Its elastic energy is that of the body's material: MuJoCo 3.17 takes twice the lambda of the E
+    and nu that a full flex is given, and fills the whole bounding box of a trilinear one.
+    """
     young, poisson = body.material.youngs_modulus, body.material.poissons_ratio
     if kind == "full":
         young, poisson = _half_lambda(young, poisson)
+    else:
+        box = float(np.ptp(body.vertices, axis=0).prod())
+        young *= float(volumes(body.vertices, body.tetrahedra).sum()) / box
     xml = f"""
     <mujoco>
       <option timestep="{timestep}" integrator="discrete" solver="CG" iterations="1000"
@@ -79,10 +87,7 @@ def flex_model(body: Body, kind: str, timestep: float) -> mujoco.MjModel:
 
 
 def _half_lambda(young: float, poisson: float) -> tuple[float, float]:
-    """Return E and nu of the material with the same mu and half the lambda.
-
-    MuJoCo 3.17's full flex takes twice the lambda of the E and nu it is given.
-    """
+    """Return E and nu of the material with the same mu and half the lambda."""
     lame = young * poisson / ((1 + poisson) * (1 - 2 * poisson)) / 2
     shear = young / (2 * (1 + poisson))
     return shear * (3 * lame + 2 * shear) / (lame + shear), lame / (2 * (lame + shear))

@@ -148,7 +148,7 @@ class Navigate(base.Task):
 
     def get_observation(self, physics: Physics) -> collections.OrderedDict[str, np.ndarray]:
         """Return 'state', 'target' and 'laser', see `reduced_observation`."""
-        return reduced_observation(physics, self._here().target)
+        return reduced_observation(physics, physics.target())
 
     def _here(self) -> Scene:
         if self._scene is None:

@@ -12,7 +12,7 @@ from dm_control.mujoco import engine, wrapper
 from defplan_mj.host import contact, laser
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.plugin import load_plugin
-from defplan_mj.host.scene import ROBOT
+from defplan_mj.host.scene import ROBOT, TARGET
 from defplan_mj.kernel.library import kernel
 from defplan_mj.planning.scenes import Scene
 
@@ -82,6 +82,10 @@ class Physics(engine.Physics):
     def com(self) -> np.ndarray:
         """Return a copy of the centre of mass (3,), m."""
         return self.data.qpos[:3].copy()
+
+    def target(self) -> np.ndarray:
+        """Return a copy of the target's position (3,), m."""
+        return self.named.data.site_xpos[TARGET].copy()
 
     def orientation(self) -> np.ndarray:
         """Return the (3, 3) rotation of the body frame: columns forward, left, up."""
