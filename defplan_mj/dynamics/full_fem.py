@@ -71,7 +71,7 @@ class FullFem:
         body: Body,
         timestep: float = 0.04,
         drag: bool = True,
-        tolerance: float = 1e-7,
+        tolerance: float = 1e-6,
         max_newton: int = 60,
     ) -> None:
         """Prepare the constant parts.
@@ -141,9 +141,7 @@ class FullFem:
         a, b, c = (x1[self.faces[:, i]] for i in range(3))
         return (a + b + c) / 3.0, 0.5 * np.cross(b - a, c - a)
 
-    def step(
-        self, x1: np.ndarray, x0: np.ndarray, target: np.ndarray | None = None
-    ) -> np.ndarray:
+    def step(self, x1: np.ndarray, x0: np.ndarray, target: np.ndarray | None = None) -> np.ndarray:
         """Return the configuration (n, 3) one time step after x1, which came after x0.
 
         Args:
@@ -291,7 +289,9 @@ class _Step:
         twist = np.einsum("eaij,eik->eajk", fem._twist, root, optimize=True).reshape(-1, 12, 3)
         element = fem.stiffness.reshape(-1, 12, 12) + twist @ twist.transpose(0, 2, 1)
         element = element.reshape(-1, 4, 3, 4, 3).transpose(0, 1, 3, 2, 4)
-        turned = rotation[:, None, None] @ element @ rotation[:, None, None].transpose(0, 1, 2, 4, 3)
+        turned = (
+            rotation[:, None, None] @ element @ rotation[:, None, None].transpose(0, 1, 2, 4, 3)
+        )
         entries = self.weight * turned.transpose(0, 1, 3, 2, 4).ravel()
         if drag is None:
             surface = np.zeros(81 * len(fem.faces))
