@@ -69,17 +69,27 @@ class Gait:
         shapes = dmp(self.alpha, self.beta, self.mu, self.tau, time)
         return np.clip(shapes, -self.amplitude, self.amplitude)
 
-    def save(self, path: str | Path) -> None:
-        """Write the gait to `path` (npz), atomically."""
-        arrays = {"alpha": self.alpha, "beta": self.beta, "mu": self.mu, "amplitude": self.amplitude}
-        meta = {
+    @property
+    def hash(self) -> str:
+        """Content hash (64 hex digits), the same as the file's."""
+        return files.content_hash(self._arrays(), self._meta())
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        names = ("alpha", "beta", "mu", "amplitude")
+        return {name: getattr(self, name) for name in names}
+
+    def _meta(self) -> dict:
+        return {
             "body_hash": self.body_hash,
             "task_names": list(self.task_names),
             "timestep": self.timestep,
             "steps_per_cycle": self.steps_per_cycle,
             "meta": self.meta,
         }
-        files.save_archive(path, "gait", FORMAT_VERSION, arrays, meta)
+
+    def save(self, path: str | Path) -> None:
+        """Write the gait to `path` (npz), atomically."""
+        files.save_archive(path, "gait", FORMAT_VERSION, self._arrays(), self._meta())
 
     @classmethod
     def load(cls, path: str | Path) -> Gait:
