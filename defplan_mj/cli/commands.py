@@ -6,13 +6,16 @@ What is heavy to import is imported where it is used, so that `defplan --help` a
 from __future__ import annotations
 
 import argparse
+import contextlib
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from defplan_mj.cli.console import Console, table
-from defplan_mj.errors import DefplanError
+from defplan_mj.cli.text import bench_text, evaluation_text, gait_text, run_text, surrogate_text
 
 if TYPE_CHECKING:
-    from defplan_mj.task import Progress, TaskSpec
+    from defplan_mj.run import Run
+    from defplan_mj.task import Progress
 
 
 def list_installed(arguments: argparse.Namespace, console: Console) -> int:
@@ -62,79 +65,123 @@ def _left(rows: list[list[str]]) -> str:
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Not yet."""
-    raise DefplanError("not yet")
+    """Do everything from the mesh to the report."""
+    chosen = {
+        "gait_solver": arguments.gait_solver,
+        "planner": arguments.planner,
+        "pairs": arguments.pairs,
+        "episodes": arguments.episodes,
+    }
+    with (
+        console.progress() as progress,
+        _open(arguments, progress, configure=True, **chosen) as run,
+    ):
+        data = run.results()
+    console.result(data, run_text(data))
+    return 0
 
 
 def gait(arguments: argparse.Namespace, console: Console) -> int:
-    """Not yet."""
-    raise DefplanError("not yet")
+    """Optimise the task's gaits, and say what they do."""
+    with _stage(arguments, console, "gait", gait_solver=arguments.solver) as run:
+        data = {**run.gait_results(), "seconds": run.folder.seconds("gait")}
+        data["file"] = run.folder.file("gait.npz")
+    console.result(data, f"{data['file']}, {data['seconds']:.1f} s\n{gait_text(data)}")
+    return 0
 
 
 def surrogate(arguments: argparse.Namespace, console: Console) -> int:
-    """Not yet."""
-    raise DefplanError("not yet")
+    """Fit the rigid surrogate, and print its row of the paper's Table III."""
+    with _stage(arguments, console, "surrogate", pairs=arguments.pairs) as run:
+        data = {**run.surrogate_results(), "seconds": run.folder.seconds("surrogate")}
+        data["file"] = run.folder.file("surrogate.npz")
+    console.result(data, f"{data['file']}, {data['seconds']:.1f} s\n{surrogate_text(data)}")
+    return 0
 
 
 def planner(arguments: argparse.Namespace, console: Console) -> int:
-    """Not yet."""
-    raise DefplanError("not yet")
+    """Train a planner on the surrogate."""
+    with _stage(arguments, console, "planner", planner=arguments.planner) as run:
+        _ = run.planner
+        data = {
+            "planner": run.planner_solver.name,
+            "seconds": run.seconds("planner"),
+            "file": run.policy,
+            "training": run.training,
+        }
+    console.result(data, f"{data['file']}: {data['planner']}, trained in {data['seconds']:.1f} s")
+    return 0
 
 
 def evaluate(arguments: argparse.Namespace, console: Console) -> int:
-    """Not yet."""
-    raise DefplanError("not yet")
+    """Let a planner steer the reduced dynamics through scenes, and count how the episodes end."""
+    with _stage(arguments, console, "evaluation", planner=arguments.planner) as run:
+        data = run.evaluate_once(
+            arguments.scenes,
+            shield=arguments.shield,
+            episodes=arguments.episodes,
+            obstacles=arguments.obstacles,
+            obstacle_speed=arguments.obstacle_speed,
+            log=arguments.log,
+        )
+    console.result(data, evaluation_text(data))
+    return 0
 
 
 def bench(arguments: argparse.Namespace, console: Console) -> int:
     """Time the reduced step and its peers on the task's body, which is built if it is not there."""
-    from defplan_mj import registry
     from defplan_mj.bench import bench as measure
 
-    spec = registry.get_task(arguments.task)
-    with console.progress() as progress, _open(arguments, spec, progress) as run:
-        data = measure(spec, run.body, progress, arguments.quick)
-    console.result(data, _bench_text(data))
+    with console.progress() as progress, _open(arguments, progress) as run:
+        data = measure(run.spec, run.body, progress, arguments.quick)
+    console.result(data, bench_text(data))
     return 0
 
 
-def _bench_text(data: dict[str, Any]) -> str:
-    """Return the figures as a table."""
-    step = next(iter(data["reduced_step_us"].values()))
-    flex, is_of, adjoint = data["mujoco_flex_step_ms"], data["conditions"], data["adjoint_step_us"]
-    cycle = data["environment_step_us"]
-    rows = [
-        ["reduced step", f"{step['median']:.1f} µs", f"{step['p99']:.1f} µs"],
-        ["  in a rollout, per step", f"{data['rollout_step_us']:.1f} µs", ""],
-        ["  its adjoint", f"{adjoint['median']:.1f} µs", f"{adjoint['p99']:.1f} µs"],
-        ["full FEM step (f)", f"{data['full_fem_step_ms']:.0f} ms", ""],
-        ["MuJoCo flex step, full", f"{flex['full']:.2f} ms", ""],
-        ["MuJoCo flex step, trilinear", f"{flex['trilinear']:.2f} ms", ""],
-        ["surrogate transition, with laser", f"{1e6 / data['surrogate_transitions_per_s']:.2f} µs", ""],
-        [f"laser scan, {is_of['beams']} beams", f"{data['laser_scan_us']:.1f} µs", ""],
-        ["clearance", f"{data['clearance_us']:.1f} µs", ""],
-        ["environment, per physics step", f"{cycle['median']:.1f} µs", f"{cycle['p99']:.1f} µs"],
-    ]
-    lines = [
-        table(["one call", "median", "99%"], rows),
-        f"two threads do rollouts {data['rollout_two_thread_speed_up']:.2f} times as fast as one;"
-        f" the environment runs {data['environment_real_time_factor']:.0f} times real time",
-        f"{is_of['task']}: {is_of['vertices']} vertices, r = {is_of['modes']}, k = {is_of['basis']},"
-        f" time step {is_of['timestep_s']} s; an empty call takes {data['empty_call_us']:.2f} µs",
-    ]
-    if is_of["quick"]:
-        lines.append("few repeats (--quick): not to be quoted")
-    return "\n".join(lines)
+@contextlib.contextmanager
+def _open(
+    arguments: argparse.Namespace, progress: Progress, configure: bool = False, **chosen: Any
+) -> Iterator[Run]:
+    """Yield the run that the arguments name.
 
-
-def _open(arguments: argparse.Namespace, spec: TaskSpec, progress: Progress, **options: Any) -> Any:
-    """Return the run (a context manager) that the arguments name."""
+    Args:
+        configure: this is `defplan run`: what it is asked for goes into run.json, and --fresh
+            means everything, not one stage.
+        chosen: further `RunOptions`.
+    """
+    from defplan_mj import registry
     from defplan_mj.run import RunOptions, open_run
 
-    chosen = RunOptions(seed=arguments.seed, **options)
-    return open_run(spec, arguments.logs, chosen, progress)
+    spec = registry.get_task(arguments.task)
+    options = RunOptions(seed=arguments.seed, **chosen)
+    with open_run(
+        spec, arguments.logs, options, progress, configure, configure and arguments.fresh
+    ) as run:
+        yield run
+
+
+@contextlib.contextmanager
+def _stage(
+    arguments: argparse.Namespace, console: Console, stage: str, **chosen: Any
+) -> Iterator[Run]:
+    """Yield the run for a command that makes one stage; --fresh makes that one anew."""
+    remake = stage if arguments.fresh else None
+    with (
+        console.progress() as progress,
+        _open(arguments, progress, remake=remake, **chosen) as run,
+    ):
+        yield run
 
 
 def view(arguments: argparse.Namespace, console: Console) -> int:
-    """Not yet."""
-    raise DefplanError("not yet")
+    """Watch the planner swim through novel scenes, in real time, until the window is closed."""
+    from defplan_mj.host.viewer import require_display, view
+
+    require_display()  # before any work
+    with _stage(arguments, console, "view", planner=arguments.planner) as run:
+        environment = run.environment(arguments.obstacles)
+        planner = run.chosen_planner(arguments.shield)
+    environment.task.random.seed(arguments.seed)
+    outcomes = view(environment, lambda step: int(planner.values(step.observation).argmax()))
+    console.result({"outcomes": outcomes}, "\n".join(outcomes))
+    return 0

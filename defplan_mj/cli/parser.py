@@ -171,13 +171,20 @@ def _bench(sub: argparse.ArgumentParser) -> None:
 
 def _compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("log", nargs="+", type=Path, metavar="LOG", help="MCAP file")
-    sub.add_argument("-o", "--output", type=Path, metavar="FILE", help="write the plot (PNG, SVG or PDF)")
+    sub.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="write the plot (PNG, SVG or PDF)"
+    )
     _common(sub)
 
 
 def _replay(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("log", type=Path, metavar="LOG", help="MCAP file")
-    sub.add_argument("--video", type=Path, metavar="FILE", help="draw it as a video (MP4, GIF) or as a picture of its end (PNG)")
+    sub.add_argument(
+        "--video",
+        type=Path,
+        metavar="FILE",
+        help="draw it as a video (MP4, GIF) or as a picture of its end (PNG)",
+    )
     _common(sub)
 
 

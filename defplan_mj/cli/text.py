@@ -1,0 +1,109 @@
+"""What the commands print for people: the same figures as their JSON, as tables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from defplan_mj.cli.console import table
+
+
+def run_text(data: dict[str, Any]) -> str:
+    """Return the figures of a whole run."""
+    seconds = data["seconds"]
+    stages = ", ".join(f"{name} {value:.1f}" for name, value in seconds.items() if name != "total")
+    rows = []
+    for scenes, result in data["evaluation"].items():
+        rows.append([f"{scenes}, with shield", *_evaluation_row(result)])
+        rows.append([f"{scenes}, without", *_evaluation_row(result["without_shield"])])
+    columns = ["scenes", *_EVALUATION_COLUMNS]
+    return "\n\n".join(
+        [
+            f"{data['task']}, seed {data['seed']}: {seconds['total']:.1f} s ({stages})",
+            gait_text(data["gait"]),
+            surrogate_text(data["surrogate"]),
+            table(columns, rows, "Episodes on the reduced dynamics"),
+            f"report  {data['files']['report']}\nlog     {data['files']['log']}",
+        ]
+    )
+
+
+def gait_text(data: dict[str, Any]) -> str:
+    """Return what the gaits do while they are switched."""
+    rows = [
+        [t["name"], _pair(t["advance_m"], t["advance_sd"]), _pair(t["yaw_rad"], t["yaw_sd"])]
+        for t in data["tasks"]
+    ]
+    switching = data["switching"]
+    title = f"Gaits, switched at random: {switching['falls']} falls in {switching['cycles']} cycles"
+    return table(["gait", "advance, m (sd)", "yaw, rad (sd)"], rows, title)
+
+
+def surrogate_text(data: dict[str, Any]) -> str:
+    """Return the surrogate's row of the paper's Table III."""
+    rows = [
+        [
+            t["name"],
+            _pair(t["rotation_mean"], t["rotation_sd"]),
+            _pair(t["translation_mean"], t["translation_sd"]),
+        ]
+        for t in data["tasks"]
+    ]
+    columns = ["gait", "rotation, rad (sd)", "translation, m (sd)"]
+    return table(columns, rows, f"Surrogate, {data['pairs']} pairs a gait")
+
+
+_EVALUATION_COLUMNS = ["episodes", "success", "95%", "collision", "timeout", "x real time"]
+
+
+def evaluation_text(data: dict[str, Any]) -> str:
+    """Return one evaluation."""
+    return table(_EVALUATION_COLUMNS, [_evaluation_row(data)])
+
+
+def _evaluation_row(data: dict[str, Any]) -> list[str]:
+    low, high = data["success_interval"]
+    return [
+        str(data["episodes"]),
+        f"{data['success']} ({100 * data['success_rate']:.1f}%)",
+        f"{100 * low:.1f}-{100 * high:.1f}%",
+        str(data["collision"]),
+        str(data["timeout"]),
+        f"{data['real_time_factor']:.0f}",
+    ]
+
+
+def _pair(mean: float, deviation: float) -> str:
+    return f"{mean:.3f} ({deviation:.3f})"
+
+
+def bench_text(data: dict[str, Any]) -> str:
+    """Return the figures as a table."""
+    step = next(iter(data["reduced_step_us"].values()))
+    flex, is_of, adjoint = data["mujoco_flex_step_ms"], data["conditions"], data["adjoint_step_us"]
+    cycle = data["environment_step_us"]
+    rows = [
+        ["reduced step", f"{step['median']:.1f} µs", f"{step['p99']:.1f} µs"],
+        ["  in a rollout, per step", f"{data['rollout_step_us']:.1f} µs", ""],
+        ["  its adjoint", f"{adjoint['median']:.1f} µs", f"{adjoint['p99']:.1f} µs"],
+        ["full FEM step (f)", f"{data['full_fem_step_ms']:.0f} ms", ""],
+        ["MuJoCo flex step, full", f"{flex['full']:.2f} ms", ""],
+        ["MuJoCo flex step, trilinear", f"{flex['trilinear']:.2f} ms", ""],
+        [
+            "surrogate transition, with laser",
+            f"{1e6 / data['surrogate_transitions_per_s']:.2f} µs",
+            "",
+        ],
+        [f"laser scan, {is_of['beams']} beams", f"{data['laser_scan_us']:.1f} µs", ""],
+        ["clearance", f"{data['clearance_us']:.1f} µs", ""],
+        ["environment, per physics step", f"{cycle['median']:.1f} µs", f"{cycle['p99']:.1f} µs"],
+    ]
+    lines = [
+        table(["one call", "median", "99%"], rows),
+        f"two threads do rollouts {data['rollout_two_thread_speed_up']:.2f} times as fast as one;"
+        f" the environment runs {data['environment_real_time_factor']:.0f} times real time",
+        f"{is_of['task']}: {is_of['vertices']} vertices, r = {is_of['modes']}, k = {is_of['basis']},"
+        f" time step {is_of['timestep_s']} s; an empty call takes {data['empty_call_us']:.2f} µs",
+    ]
+    if is_of["quick"]:
+        lines.append("few repeats (--quick): not to be quoted")
+    return "\n".join(lines)

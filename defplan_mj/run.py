@@ -1,0 +1,348 @@
+"""The run: body, gait, surrogate, planner, evaluation, report, each made once and reused while it fits."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from defplan_mj import files, registry
+from defplan_mj.store import RunFolder, file_hash
+from defplan_mj.task import Progress, TaskSpec, no_progress
+
+if TYPE_CHECKING:
+    from defplan_mj.body.model import Body
+    from defplan_mj.dynamics.reduced import ReducedDynamics
+    from defplan_mj.gait.gait import Gait
+    from defplan_mj.planning.planner import Planner
+    from defplan_mj.planning.surrogate import Surrogate
+
+STAGES = ("body", "gait", "surrogate", "planner", "evaluation")
+SWITCHING_CYCLES = 200
+GAIT_FILE, EVALUATION_FILE, REPORT_FILE = "gait.json", "evaluation.json", "report.html"
+TRAINING_VERSION = 1
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What a run is asked for besides its task.
+
+    Attributes:
+        seed: of everything random.
+        gait_solver, planner: plugins by name (None: the task's).
+        pairs: (before, after) pairs a gait that the surrogate is fitted to.
+        episodes: novel scenes of the evaluation.
+        logged: how many of the novel episodes are logged, beside those of K2.
+        remake: the stage that is made anew even if it could be reused.
+    """
+
+    seed: int = 0
+    gait_solver: str | None = None
+    planner: str | None = None
+    pairs: int = 1000
+    episodes: int = 200
+    logged: int = 4
+    remake: str | None = None
+
+
+class Run:
+    """One run of a task in its folder. A stage is made, or read again, when it is first asked for.
+
+    Args:
+        spec: the task.
+        folder: open for the time of the run.
+        options: see `RunOptions`.
+        progress: told what is being made, as 'stage: detail'.
+    """
+
+    def __init__(
+        self,
+        spec: TaskSpec,
+        folder: RunFolder,
+        options: RunOptions = RunOptions(),
+        progress: Progress = no_progress,
+    ) -> None:
+        self.spec = spec
+        self.folder = folder
+        self.options = options
+        self._progress = progress
+        self.hashes: dict[str, str] = {}
+
+    @cached_property
+    def gait_solver(self) -> Any:
+        """The gait solver plugin."""
+        return registry.get_solver(self.options.gait_solver or self.spec.gait_solver, "gait")
+
+    @cached_property
+    def planner_solver(self) -> Any:
+        """The planner plugin."""
+        return registry.get_solver(self.options.planner or self.spec.planner, "planner")
+
+    # ---- the stages
+
+    @cached_property
+    def body(self) -> Body:
+        """The body of the task's mesh."""
+        from defplan_mj.body.build import build_body
+        from defplan_mj.body.model import Body
+
+        path = self.folder.file("body.npz")
+
+        def make() -> Iterable[Path]:
+            body = build_body(self.spec.mesh, self.spec.body, self._stage("body"))
+            body.save(path)
+            return [path]
+
+        mesh = file_hash(self.spec.mesh) if self.spec.mesh.is_file() else "missing"
+        self._make("body", {"mesh": mesh, "options": dataclasses.asdict(self.spec.body)}, make)
+        return Body.load(path)
+
+    @cached_property
+    def dynamics(self) -> ReducedDynamics:
+        """The reduced dynamics of the body at the task's time step."""
+        from defplan_mj.dynamics.reduced import ReducedDynamics
+
+        return ReducedDynamics(self.body, self.spec.timestep)
+
+    @cached_property
+    def gait(self) -> Gait:
+        """The task's gaits, optimised by the gait solver, and how they fare when they are switched."""
+        from defplan_mj.gait.gait import Gait
+        from defplan_mj.gait.problem import GaitProblem
+        from defplan_mj.gait.switching import evaluate_switching
+
+        solver = self.gait_solver
+        path, switching = self.folder.file("gait.npz"), self.folder.file(GAIT_FILE)
+
+        def make() -> Iterable[Path]:
+            problem = GaitProblem.of(self.spec, self.dynamics)
+            gait = solver.solve(problem, self.options.seed, self._stage("gait"))
+            gait.save(path)
+            measured = evaluate_switching(self.dynamics, gait, SWITCHING_CYCLES, self.options.seed)
+            write_json(switching, measured.to_json())
+            return [path, switching]
+
+        _ = self.body
+        spec = self.spec
+        inputs = {
+            "body": self.hashes["body.npz"],
+            "solver": solver.name,
+            "seed": self.options.seed,
+            "tasks": [dataclasses.asdict(task) for task in spec.gait_tasks],
+            "timestep": spec.timestep,
+            "steps_per_cycle": spec.steps_per_cycle,
+            "steps": spec.gait_steps,
+            "switching": SWITCHING_CYCLES,
+        }
+        self._make("gait", inputs, make)
+        return Gait.load(path)
+
+    @cached_property
+    def surrogate(self) -> Surrogate:
+        """The rigid surrogate of the gaits."""
+        from defplan_mj.planning.fit import fit_surrogate
+        from defplan_mj.planning.surrogate import Surrogate
+
+        path = self.folder.file("surrogate.npz")
+
+        def make() -> Iterable[Path]:
+            pairs, seed = self.options.pairs, self.options.seed
+            progress = self._stage("surrogate")
+            fit_surrogate(self.dynamics, self.gait, pairs, seed, progress).save(path)
+            return [path]
+
+        _ = self.gait
+        inputs = {
+            "gait": self.hashes["gait.npz"],
+            "pairs": self.options.pairs,
+            "seed": self.options.seed,
+        }
+        self._make("surrogate", inputs, make)
+        return Surrogate.load(path)
+
+    @cached_property
+    def planner(self) -> Planner:
+        """The planner, trained on the surrogate."""
+        solver, surrogate, navigation = self.planner_solver, self.surrogate, self.spec.navigation
+
+        def make() -> Iterable[Path]:
+            result = solver.train(
+                surrogate, navigation, self.options.seed, progress=self._stage("planner")
+            )
+            solver.save(result.planner, self.policy)
+            files.save_archive(
+                self.training,
+                "training",
+                TRAINING_VERSION,
+                {name: np.asarray(curve) for name, curve in result.curves.items()},
+                {"planner": solver.name, "seconds": result.seconds},
+            )
+            return [self.policy, self.training]
+
+        inputs = {
+            "surrogate": self.hashes["surrogate.npz"],
+            "planner": solver.name,
+            "navigation": dataclasses.asdict(navigation),
+            "seed": self.options.seed,
+        }
+        self._make("planner", inputs, make)
+        return solver.load(self.policy, surrogate, navigation)
+
+    # ---- the rest
+
+    def evaluate(self) -> dict[str, Any]:
+        """Evaluate the planner on the K2 and the novel scenes, with and without the shield.
+
+        The K2 episodes with the shield are logged, and some of the novel ones.
+
+        Returns:
+            {'k2' | 'novel': {'with_shield' | 'without_shield': evaluation}}.
+        """
+        path = self.folder.file(EVALUATION_FILE)
+
+        def make() -> Iterable[Path]:
+            results, logs = self._evaluate_all(self._stage("evaluation"))
+            write_json(path, results)
+            return [path, *logs]
+
+        _ = self.planner
+        inputs = {
+            "surrogate": self.hashes["surrogate.npz"],
+            "policy": self.hashes[self.policy.name],
+            "navigation": dataclasses.asdict(self.spec.navigation),
+            "episodes": self.options.episodes,
+            "logged": self.options.logged,
+            "seed": self.options.seed,
+        }
+        self._make("evaluation", inputs, make)
+        return json.loads(path.read_text(encoding="utf-8"))
+
+    def report(self) -> Path:
+        """Write the report, or find it as it was written of the same files."""
+        from defplan_mj.report.report import write_report
+
+        path = self.folder.file(REPORT_FILE)
+
+        def make() -> Iterable[Path]:
+            return [write_report(self.folder.path, self._stage("report"))]
+
+        self._make("report", dict(sorted(self.hashes.items())), make)
+        return path
+
+    def results(self) -> dict[str, Any]:
+        """Do everything that is not done yet; return what `defplan run --json` prints."""
+        _ = self.gait_solver, self.planner_solver  # a wrong name is told before the work, not after
+        gait = self.gait_results()
+        surrogate = self.surrogate_results()
+        _ = self.planner
+        evaluation = self.evaluate()
+        report = self.report()
+        seconds = {name: self.folder.seconds(self._key(name)) for name in STAGES}
+        logs = sorted(str(self.folder.file(n)) for n in self.hashes if n.endswith(".mcap"))
+        return {
+            "task": self.spec.name,
+            "seed": self.options.seed,
+            "seconds": {**seconds, "total": sum(seconds.values())},
+            "gait": gait,
+            "surrogate": surrogate,
+            "evaluation": {
+                scenes: summary(both["with_shield"])
+                | {"without_shield": summary(both["without_shield"])}
+                for scenes, both in evaluation.items()
+            },
+            "files": {
+                "log": logs[0] if logs else None,
+                "report": str(report),
+                "body": str(self.folder.file("body.npz")),
+                "gait": str(self.folder.file("gait.npz")),
+                "policy": str(self.policy),
+                "logs": logs,
+            },
+        }
+
+    def gait_results(self) -> dict[str, Any]:
+        """Return what the gaits do while they are switched: advance and turn a cycle, falls."""
+        _ = self.gait
+        document = json.loads(self.folder.file(GAIT_FILE).read_text(encoding="utf-8"))
+        return document["gait"]
+
+    def surrogate_results(self) -> dict[str, Any]:
+        """Return the row of the paper's Table III."""
+        found = self.surrogate
+        names = ("rotation_mean", "rotation_sd", "translation_mean", "translation_sd")
+        tasks = [
+            {"name": task, **{name: float(getattr(found, name)[k]) for name in names}}
+            for k, task in enumerate(found.task_names)
+        ]
+        return {"pairs": found.pairs, "tasks": tasks}
+
+    # ---- helpers
+
+    @property
+    def policy(self) -> Path:
+        """Where the planner lies; one that is not the task's own lies beside it."""
+        return self.folder.file(f"{self._of_planner('policy')}.npz")
+
+    @property
+    def training(self) -> Path:
+        """Where the planner's training curves lie."""
+        return self.folder.file(f"{self._of_planner('training')}.npz")
+
+    def _of_planner(self, name: str) -> str:
+        chosen = self.options.planner or self.spec.planner
+        return name if chosen == self.spec.planner else f"{name}-{chosen}"
+
+    def _key(self, stage: str) -> str:
+        return self._of_planner(stage) if stage == "planner" else stage
+
+    def _make(self, stage: str, inputs: dict[str, Any], make: Callable[[], Iterable[Path]]) -> None:
+        """Make a stage or find it; remember the hashes of its files."""
+        fresh = self.options.remake == stage
+        self.hashes.update(self.folder.stage(self._key(stage), inputs, make, fresh))
+
+    def _stage(self, stage: str) -> Progress:
+        return lambda message, fraction: self._progress(f"{stage}: {message}", fraction)
+
+
+@contextlib.contextmanager
+def open_run(
+    spec: TaskSpec,
+    logs: Path,
+    options: RunOptions = RunOptions(),
+    progress: Progress = no_progress,
+    configure: bool = True,
+    fresh: bool = False,
+) -> Iterator[Run]:
+    """Open the folder `logs/<task>-seed<seed>` and yield its run.
+
+    Args:
+        configure: write `options` to run.json as what the run was asked for.
+        fresh: forget everything made before.
+
+    Raises:
+        DefplanError: a plugin is unknown, or the folder is in use or cannot be written.
+    """
+    config = {"task": spec.name, **dataclasses.asdict(options)}
+    path = logs / f"{spec.name}-seed{options.seed}"
+    folder = RunFolder(path, config, fresh, keep=not configure)
+    with folder:
+        yield Run(spec, folder, options, progress)
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write `data` as JSON, atomically."""
+    files.write_text(path, json.dumps(data, indent=1, default=_plain, allow_nan=False) + "\n")
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"cannot write a {type(value).__name__} as JSON")
