@@ -7,6 +7,7 @@ import time
 import types
 
 import host_samples as samples
+import mujoco
 import numpy as np
 import pytest
 
@@ -20,6 +21,7 @@ class _Window:
 
     def __init__(self, pictures: int):
         self.left, self.synced = pictures, 0
+        self.cam = mujoco.MjvCamera()
 
     def __enter__(self):
         return self
@@ -38,10 +40,10 @@ class _Window:
 def window(monkeypatch):
     window = _Window(25)
     module = types.ModuleType("mujoco.viewer")
-    module.launch_passive = lambda model, data: window  # type: ignore[attr-defined]
+    module.launch_passive = lambda model, data, **_: window  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "mujoco.viewer", module)
     monkeypatch.setattr("mujoco.viewer", module, raising=False)
-    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(viewer, "require_display", lambda: None)
     return window
 
 
@@ -51,6 +53,13 @@ def test_no_screen_is_one_sentence(monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(DefplanError, match="no screen to open the viewer on.*--video"):
         viewer.view(None, viewer.play([0]))
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there it can be told")
+def test_screen_that_does_not_answer_is_one_sentence(monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":4711")
+    with pytest.raises(DefplanError, match="DISPLAY is :4711, which does not answer"):
+        viewer.require_display()
 
 
 def _navigate():
@@ -64,6 +73,7 @@ def test_navigate_is_shown_at_every_physics_step(window):
     assert window.synced == 25
     assert environment.physics.time() == pytest.approx(33 * 0.04)  # three whole cycles
     assert environment.task.step_hook is None
+    assert window.cam.trackbodyid == environment.physics.model.name2id("robot", "body")
 
 
 def test_swim_is_shown_at_every_step(window):

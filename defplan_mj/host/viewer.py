@@ -5,15 +5,18 @@ from __future__ import annotations
 import os
 import sys
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import dm_env
+import mujoco
 import numpy as np
 from dm_control.rl import control
 
 from defplan_mj.errors import DefplanError
 from defplan_mj.host.physics import Physics
+from defplan_mj.host.scene import ROBOT
 
 Policy = Callable[[dm_env.TimeStep], Any]
 
@@ -24,13 +27,21 @@ def require_display() -> None:
     Raises:
         DefplanError: there is no screen.
     """
-    if not sys.platform.startswith("linux"):
-        return
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise DefplanError(
-            "there is no screen to open the viewer on (DISPLAY is not set):"
-            " use `defplan replay LOG --video FILE` to make a video instead"
-        )
+    screens = ("DISPLAY", "WAYLAND_DISPLAY")
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in screens):
+        reason = "DISPLAY is not set"
+    else:
+        import glfw  # only where there may be a screen
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if glfw.init():
+                return
+        reason = f"DISPLAY is {os.environ.get('DISPLAY')}, which does not answer"
+    raise DefplanError(
+        f"there is no screen to open the viewer on ({reason}):"
+        " use `defplan replay LOG --video FILE` to make a video instead"
+    )
 
 
 def view(
@@ -58,7 +69,9 @@ def view(
 
     physics, task = environment.physics, environment.task
     outcomes: list[str] = []
-    with viewer.launch_passive(physics.model.ptr, physics.data.ptr) as window:
+    model, data = physics.model.ptr, physics.data.ptr
+    with viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
+        follow_robot(window.cam, model)
         pace = _Pace(speed)
 
         def show(physics: Physics, target_shape: np.ndarray | None = None) -> None:
@@ -83,6 +96,13 @@ def view(
             if hooked:
                 task.step_hook = before
     return [outcome for outcome in outcomes if outcome]
+
+
+def follow_robot(camera: mujoco.MjvCamera, model: mujoco.MjModel) -> None:
+    """Let a camera keep the robot in view, from behind and above."""
+    camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+    camera.trackbodyid = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, ROBOT)
+    camera.distance, camera.azimuth, camera.elevation = 4.0, 50.0, -28.0
 
 
 def play(gaits: Sequence[int]) -> Policy:
