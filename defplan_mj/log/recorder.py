@@ -31,6 +31,9 @@ from defplan_mj.planning.surrogate import Surrogate
 CHUNK_SECONDS = 1.0
 """Simulated seconds in a chunk: what a log that is cut loses at most."""
 
+PARTIAL_SUFFIX = ".partial.mcap"
+"""How the name of a log ends while its episode has not."""
+
 _MESH_GRID = 2.0**-12  # m; drawn points are rounded to it, so that they compress
 _MESH_COLOUR = (0.16, 0.55, 0.62, 1.0)
 
@@ -98,7 +101,7 @@ class Recorder:
         mesh_every: int = 2,
     ) -> None:
         self.path = Path(path)
-        self.partial = self.path.with_suffix(f".partial{self.path.suffix}")
+        self.partial = self.path.with_suffix(PARTIAL_SUFFIX)
         self._files = files
         self._given_surface = surface
         self._mesh_every = mesh_every

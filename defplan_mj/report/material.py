@@ -17,6 +17,7 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import EpisodeLog, read_log
+from defplan_mj.log.recorder import PARTIAL_SUFFIX
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import TaskSpec
 
@@ -80,14 +81,6 @@ class Material:
         """The paper's figures for this task."""
         return self.spec.paper if self.spec else {}
 
-    def find(self, name: str) -> Any:
-        """Return the first entry called `name` in any JSON document, however deep; None: no such."""
-        for document in self.documents.values():
-            found = _find(document, name)
-            if found is not None:
-                return found
-        return None
-
 
 def gather(folder: str | Path) -> Material:
     """Read all that a run has left in its folder.
@@ -112,15 +105,19 @@ def gather(folder: str | Path) -> Material:
             material.faults[name] = f"{path} cannot be read: {error}"
         return None
 
-    material.body = read("body.npz", Body.load)
-    material.gait = read("gait.npz", Gait.load)
-    material.surrogate = read("surrogate.npz", Surrogate.load)
-    material.curves = read("training.npz", _curves) or {}
-    for path in sorted(folder.glob("*.json")):
+    for path in sorted(folder.glob("[!.]*.json")):
         document = read(path.name, lambda path: json.loads(path.read_text(encoding="utf-8")))
         if isinstance(document, dict):
             material.documents[path.stem] = document
-    for path in sorted(folder.glob("**/*.mcap")):
+    material.body = read("body.npz", Body.load)
+    material.gait = read("gait.npz", Gait.load)
+    material.surrogate = read("surrogate.npz", Surrogate.load)
+    # a planner that is not the task's own has curves of its own
+    own = read(f"training-{material.config.get('planner')}.npz", _curves)
+    material.curves = own or read("training.npz", _curves) or {}
+    for path in sorted(folder.glob("**/[!.]*.mcap")):
+        if path.name.endswith(PARTIAL_SUFFIX):
+            continue  # of an episode that was stopped, or is running
         log = read(str(path.relative_to(folder)), read_log)
         if log is not None:
             material.logs.append(log)
@@ -135,15 +132,3 @@ def _curves(path: Path) -> dict[str, np.ndarray]:
     except Exception as error:  # zip, zlib and NumPy raise many kinds on damaged files
         raise DefplanError(f"{path} is not a whole training file") from error
     return {k: a for k, a in arrays.items() if a.ndim == 1 and a.dtype.kind in "fiu" and len(a)}
-
-
-def _find(value: Any, name: str) -> Any:
-    if not isinstance(value, dict):
-        return None
-    if value.get(name) is not None:
-        return value[name]
-    for inner in value.values():
-        found = _find(inner, name)
-        if found is not None:
-            return found
-    return None

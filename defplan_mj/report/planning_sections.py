@@ -125,7 +125,9 @@ def trajectory_section(material: Material) -> Section:
     """Return logged episodes from above, the paper's Fig. 6."""
     section = Section("trajectories", "Trajectories")
     logs, dynamics = material.logs, material.dynamics
-    if not logs:
+    faults = [text for name, text in material.faults.items() if name.endswith(".mcap")]
+    section.blocks += [Missing(f"{text}.") for text in faults]
+    if not logs and not faults:
         section.blocks.append(Missing("No episode was logged yet (*.mcap)."))
     if not logs or dynamics is None:
         return section
@@ -154,9 +156,6 @@ def trajectory_section(material: Material) -> Section:
                 "is at the end, dotted where it began), target within its goal radius (red).",
             )
         )
-    for name, fault in material.faults.items():
-        if name.endswith(".mcap"):
-            section.blocks.append(Missing(f"{fault}."))
     return section
 
 

@@ -87,7 +87,7 @@ def summary(material: Material) -> list[Fact]:
         low, high = wilson(round(success * n), n)
         detail = f"{label.replace('_', ' ')}; 95%: {100 * low:.0f} to {100 * high:.0f}%"
         facts.append(Fact(percent(success), f"of {n} targets reached", detail))
-    results = material.find("gait")
+    results = material.documents.get("gait", {}).get("gait")
     for task in (results.get("tasks", []) if isinstance(results, dict) else [])[:1]:
         facts.append(Fact(f"{task['advance_m']:.2f} m", "a cycle", f"gait '{task['name']}'"))
     stages = {k: v for k, v in material.seconds.items() if k != "total"}
@@ -113,11 +113,11 @@ def making_section(material: Material) -> Section:
     section.blocks.append(Table(["asked for", ""], rows))
     versions = run.get("versions", {})
     section.blocks.append(Table(["version", ""], [[str(k), str(v)] for k, v in versions.items()]))
-    hashes = [
-        [name, part.hash[:16] if hasattr(part, "hash") else part.body_hash[:16]]
-        for name, part in (("body", material.body), ("gait's body", material.gait))
-        if part is not None
-    ]
+    hashes = []
+    if material.body is not None:
+        hashes.append(["body", material.body.hash[:16]])
+    if material.gait is not None:
+        hashes.append(["the gaits' body", material.gait.body_hash[:16]])
     if hashes:
         section.blocks.append(Table(["content hash", ""], hashes))
     return section

@@ -113,7 +113,7 @@ def gait_section(material: Material) -> Section:
 def _gait_tables(material: Material) -> list[Block]:
     """Return the tables on advance and yaw a cycle, on switching, and on the solvers."""
     blocks: list[Block] = []
-    results = material.find("gait")
+    results = material.documents.get("gait", {}).get("gait")
     tasks = results.get("tasks", []) if isinstance(results, dict) else []
     if tasks:
         rows = [
@@ -132,7 +132,7 @@ def _gait_tables(material: Material) -> list[Block]:
         blocks.append(Table(["gait", "advance (m)", "yaw (rad)"], rows, caption))
     else:
         blocks.append(Missing("Advance and yaw a cycle under switching were not measured yet."))
-    solvers = solver_rows(material.find("gait_solvers"))
+    solvers = solver_rows(material.documents.get("gait", {}).get("solvers"))
     if solvers:
         columns = ["solver", "objective", "after re-simulation", "seconds", "forward (m a cycle)"]
         caption = (
@@ -206,21 +206,20 @@ def surrogate_section(material: Material) -> Section:
 def time_section(material: Material) -> Section:
     """Return the seconds of each stage beside the paper's Table I."""
     section = Section("time", "Seconds per stage")
-    seconds, paper = dict(material.seconds), material.paper
+    seconds = {k: v for k, v in material.seconds.items() if k != "total"}
+    paper = material.paper
     if not seconds:
         section.blocks.append(missing(material, "run.json"))
         return section
-    theirs = {"gait": paper.get("gait_h"), "planner": None}
+    theirs = {"gait": paper.get("gait_h")}
     if "dql_h" in paper:
         theirs["planner"] = paper["dql_h"] + paper.get("cnn_h", 0.0)
     rows = []
-    for stage in ("body", "gait", "surrogate", "planner", "evaluation", "report"):
-        if stage in seconds:
-            hours = theirs.get(stage)
-            ratio = f"{3600 * hours / seconds[stage]:.0f}×" if hours and seconds[stage] else "–"
-            rows.append([stage, duration(seconds[stage]), f"{hours:g} h" if hours else "–", ratio])
-    stages = [v for k, v in seconds.items() if k != "total"]
-    rows.append(["total", duration(sum(stages)), "–", "–"])
+    for stage, spent in seconds.items():
+        hours = theirs.get(stage)
+        ratio = f"{3600 * hours / spent:.0f}×" if hours and spent else "–"
+        rows.append([stage, duration(spent), f"{hours:g} h" if hours else "–", ratio])
+    rows.append(["total", duration(sum(seconds.values())), "–", "–"])
     section.blocks.append(
         Table(
             ["stage", "here", "paper", "faster by"],
