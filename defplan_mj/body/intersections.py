@@ -47,7 +47,8 @@ def _edges_cross(
 ) -> np.ndarray:
     """Say (m,) whether an edge of triangles `first` (m, 3) pierces triangles `second` (m, 3).
 
-    Edges that share a vertex with the other triangle do not count; touching does not either.
+    Edges that share a vertex with the other triangle do not count, nor does an end that just
+    touches it; passing through its rim does.
     """
     a, b, c = (vertices[second[:, i]] for i in range(3))
     result = np.zeros(len(first), dtype=bool)
@@ -60,7 +61,7 @@ def _edges_cross(
         sides = np.stack(
             [_orientation(p, q, a, b), _orientation(p, q, b, c), _orientation(p, q, c, a)]
         )
-        within = (sides > least).all(0) | (sides < -least).all(0)
+        within = (sides >= 0.0).all(0) | (sides <= 0.0).all(0)
         result |= apart & opposite & within
     return result
 
@@ -74,7 +75,7 @@ def crossing_triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """
     corners = vertices[faces]
     pairs = _near_pairs(corners.min(1), corners.max(1))
-    least = 1e-12 * np.ptp(vertices, axis=0).max() ** 3
+    least = 1e-14 * np.ptp(vertices, axis=0).max() ** 3
     found = []
     for start in range(0, len(pairs), _CHUNK):
         part = pairs[start : start + _CHUNK]

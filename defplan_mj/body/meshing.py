@@ -24,6 +24,7 @@ from defplan_mj.errors import DefplanError
 _SNAP_LONG, _SNAP_SHORT = 0.24999, 0.41189
 _COMPRESSIONS = (0.85, 0.7)  # of the lattice along one axis
 _FLATNESS = 0.05  # volume error that a loss of mean quality by 1 weighs as much as
+_MOST_POINTS = 300  # lattice points tried for each vertex wanted
 _MOST_LOST = 0.1  # share of the volume
 
 
@@ -234,7 +235,10 @@ def _near_count(
     surface: Surface, shape: np.ndarray, vertices: int, cell: float
 ) -> tuple[TetMesh | None, float]:
     """Find a cell that gives the count within 5%, by its power law; mesh or None, cell."""
-    for _ in range(6):
+    box = np.ptp(surface.vertices, axis=0).prod()
+    for _ in range(8):
+        if 2.0 * box / cell**3 > _MOST_POINTS * vertices:
+            break
         mesh = _attempt(surface, cell * shape, 0.0)
         count = len(mesh.vertices)
         if abs(count - vertices) <= 0.05 * vertices:

@@ -17,7 +17,11 @@ from defplan_mj.errors import DefplanError
 
 SURFACE_FORMATS = (".stl", ".obj", ".ply", ".off", ".gltf", ".glb")
 TETRAHEDRAL_FORMATS = (".msh", ".vtk", ".vtu")
-_READERS = {".msh": meshio.gmsh.read, ".vtk": meshio.vtk.read, ".vtu": meshio.vtu.read}
+_READERS = {  # two programs use .msh
+    ".msh": (meshio.gmsh.read, meshio.ansys.read),
+    ".vtk": (meshio.vtk.read,),
+    ".vtu": (meshio.vtu.read,),
+}
 
 
 @dataclass(frozen=True)
@@ -108,15 +112,22 @@ def _read_volume(path: Path, form: str) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and tetrahedra as meshio reads them, or triangles if it has no others."""
     if path.stat().st_size == 0:
         raise DefplanError(f"{path} is empty: it has no tetrahedra")
-    try:
-        mesh = _READERS[form](str(path))
-    except MemoryError:
-        raise
-    except (Exception, SystemExit) as error:  # meshio's readers fail each in their own way
+    mesh, failure = None, None
+    for read in _READERS[form]:
+        try:
+            mesh = read(str(path))
+            break
+        except MemoryError:
+            raise
+        except (Exception, SystemExit) as error:  # meshio's readers fail each in their own way
+            failure = failure or error
+    if mesh is None:
         raise DefplanError(
-            f"{path} cannot be read as a {form} mesh ({_short(error)}): export it again"
-        ) from error
+            f"{path} cannot be read as a {form} mesh ({_short(failure)}): export it again"
+        ) from failure
     vertices = np.asarray(mesh.points, float)
+    if vertices.shape[1:] == (2,):
+        vertices = np.hstack([vertices, np.zeros((len(vertices), 1))])
     for kinds, corners in ((("tetra", "tetra10"), 4), (("triangle",), 3)):
         cells = [np.asarray(c.data)[:, :corners] for c in mesh.cells if c.type in kinds]
         if any(len(c) for c in cells):
@@ -124,7 +135,7 @@ def _read_volume(path: Path, form: str) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.zeros((0, 4), np.int64)
 
 
-def _short(error: BaseException) -> str:
+def _short(error: BaseException | None) -> str:
     """Return the first line of an error's message, or its type."""
     lines = str(error).strip().splitlines()
     return (lines[0] if lines else type(error).__name__).rstrip(".:")[:120]
