@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from defplan_mj.report.content import duration, mean_sd, number, percent, wilson
+from defplan_mj.report.content import duration, mean_sd, number, percent
 from defplan_mj.report.drawing import boundary_faces, outlines, view
 
 
@@ -65,25 +65,6 @@ def test_a_view_is_a_rotation_that_sees_the_side_it_says():
     np.testing.assert_allclose(rotation @ [1, 0, 0], [1, 0, 0], atol=1e-15)
     np.testing.assert_allclose(rotation @ [0, 0, 1], [0, 1, 0], atol=1e-15)
     assert np.linalg.det(view(20, 40)) == pytest.approx(1)
-
-
-@pytest.mark.parametrize(
-    ("successes", "trials", "low", "high"),
-    # Brown, Cai and DasGupta (2001), and scipy's
-    [
-        (10, 10, 0.7225, 1.0),
-        (0, 10, 0.0, 0.2775),
-        (190, 200, 0.9104, 0.9726),
-        (5, 10, 0.2366, 0.7634),
-    ],
-)
-def test_intervals_are_wilsons(successes, trials, low, high):
-    from scipy.stats import binomtest
-
-    found = wilson(successes, trials)
-    np.testing.assert_allclose(found, (low, high), atol=1e-4)
-    truth = binomtest(successes, trials).proportion_ci(method="wilson")
-    np.testing.assert_allclose(found, (truth.low, truth.high), atol=1e-6)
 
 
 def test_numbers_are_written_for_people():

@@ -115,7 +115,14 @@ def test_the_page_has_all_sections_with_their_pictures(page, run):
         assert title in page.text[name]
     pictures = {name: len(images) for name, images in page.images.items()}
     # mesh twice and three modes; curves and path of three gaits; two curves; one log; four panels
-    assert pictures == {"body": 5, "gaits": 6, "training": 2, "trajectories": 1, "comparison": 4}
+    assert pictures == {
+        "body": 5,
+        "gaits": 6,
+        "training": 2,
+        "success": 1,
+        "trajectories": 1,
+        "comparison": 4,
+    }
 
 
 def test_the_page_loads_nothing_from_outside(page, run):
@@ -143,7 +150,7 @@ def test_figures_of_the_run_are_in_the_page(page):
     # Wilson's interval of 190 of 200: 0.9104 to 0.9726
     assert "novel, with shield" in success and "91–97%" in success
     assert "novel, without shield" in success and "90%" in success
-    assert "0.410 ± 0.010" in page.text["gaits"] and "3 falls in 200 cycles" in page.text["gaits"]
+    assert "0.410 ± 0.010" in page.text["gaits"] and "3 of 200 cycles tilt" in page.text["gaits"]
 
 
 def test_the_papers_figures_stand_beside_ours(page):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -48,6 +50,22 @@ def path_figure(gait: Gait, task: int, dynamics: ReducedDynamics, steps: int = 2
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_title(f"{gait.task_names[task]}: {steps} steps from rest", loc="left")
     axes.set_aspect("equal", adjustable="datalim")
+    return figure
+
+
+@styled
+def history_figure(history: Sequence[float]) -> Figure:
+    """Return a solver's objective over its iterations."""
+    figure, grid = new_figure(4.6, 2.4)
+    axes = grid[0, 0]
+    values = np.asarray(history, float)
+    best = np.minimum.accumulate(values)
+    axes.plot(values, color=SERIES[0], lw=1.0)
+    axes.plot(best, color=INK, lw=0.9, ls=":")
+    # line searches may try costs far above all others
+    low, high = best[-1], np.percentile(values, 90)
+    axes.set_ylim(low - 0.08 * (high - low) - 1e-9, high + 0.3 * (high - low) + 1e-9)
+    axes.set(xlabel="iteration", ylabel="objective")
     return figure
 
 

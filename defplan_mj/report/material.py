@@ -77,6 +77,12 @@ class Material:
             return None
 
     @property
+    def switching(self) -> dict[str, Any]:
+        """What a cycle of each gait does while they are switched: 'tasks' and 'switching'."""
+        document = self.documents.get("gait", {})
+        return document.get("gait", document)
+
+    @property
     def paper(self) -> dict[str, Any]:
         """The paper's figures for this task."""
         return self.spec.paper if self.spec else {}

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.log.plotting import FAINT, INK, OBSTACLE, SERIES, TARGET, new_figure, styled
+from defplan_mj.log.plotting import FAINT, INK, OBSTACLE, PATH, SERIES, TARGET, new_figure, styled
 from defplan_mj.log.reader import EpisodeLog
 from defplan_mj.report.gait_figures import draw_bodies, draw_path
 
@@ -59,6 +59,21 @@ def _abscissa(curves: Mapping[str, np.ndarray], length: int) -> tuple[np.ndarray
         if name in curves and len(curves[name]) == length:
             return curves[name], label
     return np.arange(length), "checkpoint"
+
+
+@styled
+def rates_figure(rates: Sequence[tuple[str, float, tuple[float, float]]]) -> Figure:
+    """Return success rates as dots with their 95% intervals, from (label, rate, interval) each."""
+    figure, grid = new_figure(4.6, 0.8 + 0.32 * len(rates))
+    axes = grid[0, 0]
+    for row, (_, rate, (low, high)) in enumerate(rates):
+        axes.plot([100 * low, 100 * high], [row, row], color=PATH, lw=2.2, solid_capstyle="round")
+        axes.scatter([100 * rate], [row], s=36, color=PATH, zorder=3)
+    axes.set_yticks(range(len(rates)), [label for label, *_ in rates])
+    axes.invert_yaxis()
+    axes.set(xlabel="success (%)", xlim=(min(50, *(100 * r[2][0] - 2 for r in rates)), 101))
+    axes.grid(axis="x", color=FAINT, alpha=0.3, lw=0.6)
+    return figure
 
 
 @styled

@@ -9,6 +9,7 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.log.compare import DRIFT_COLUMNS, TABLE_COLUMNS, compare_logs
 from defplan_mj.log.compare_plot import comparison_figures
 from defplan_mj.log.reader import EpisodeLog
+from defplan_mj.planning.evaluation import wilson_interval
 from defplan_mj.report.content import (
     Figures,
     Missing,
@@ -18,12 +19,12 @@ from defplan_mj.report.content import (
     drawing,
     number,
     percent,
-    wilson,
 )
 from defplan_mj.report.material import Material
 from defplan_mj.report.planning_figures import (
     episode_figure,
     overview_figure,
+    rates_figure,
     reward_figure,
     success_figure,
 )
@@ -56,7 +57,7 @@ def evaluations(document: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str
     """Yield label and content of every evaluation in a JSON document, however it is nested."""
     if isinstance(document, dict):
         if "episodes" in document and "success" in document:
-            yield ", ".join(path), document
+            yield ", ".join(path).replace("_", " "), document
             return
         for name, inner in document.items():
             yield from evaluations(inner, (*path, name))
@@ -71,16 +72,16 @@ def success_section(material: Material) -> Section:
         return section
     rows = []
     for label, result in found:
-        n = episodes(result)
-        low, high = wilson(round(rate(result, "success") * n), n)
+        low, high = interval(result)
         rows.append(
             [
-                label.replace("_", " "),
-                str(n),
+                label,
+                str(episodes(result)),
                 percent(rate(result, "success")),
                 f"{100 * low:.0f}–{100 * high:.0f}%",
                 percent(rate(result, "collision")),
                 percent(rate(result, "timeout")),
+                number(result.get("cycles_mean"), 1),
                 number(result.get("real_time_factor"), 0),
             ]
         )
@@ -91,18 +92,25 @@ def success_section(material: Material) -> Section:
         "95% interval",
         "collision",
         "timeout",
+        "cycles",
         "× real time",
     ]
-    section.blocks.append(
+    section.blocks += [
+        drawing(
+            rates_figure([(label, rate(r, "success"), interval(r)) for label, r in found]),
+            "Share of episodes that reach their target without touching an obstacle; the line is "
+            "the 95% interval that this number of episodes allows.",
+        ),
         Table(
             columns,
             rows,
             "Episodes on the reduced dynamics in the MuJoCo scene, contact checked at every physics "
             "step. 'K2' are the training targets, 'novel' ones were never seen; the shield vetoes "
             "gaits that have no collision-free continuation in the laser's points. The interval is "
-            "Wilson's. × real time: simulated seconds per second of decision and physics.",
-        )
-    )
+            "Wilson's. Cycles: mean of the successful episodes. × real time: simulated seconds per "
+            "second of decision and physics, in one process.",
+        ),
+    ]
     return section
 
 
@@ -110,6 +118,12 @@ def episodes(result: dict[str, Any]) -> int:
     """Return the number of episodes of an evaluation."""
     n = result["episodes"]
     return len(n) if isinstance(n, list) else int(n)
+
+
+def interval(result: dict[str, Any]) -> tuple[float, float]:
+    """Return the 95% interval of an evaluation's success rate."""
+    n = episodes(result)
+    return wilson_interval(round(rate(result, "success") * n), n) if n else (0.0, 1.0)
 
 
 def rate(result: dict[str, Any], outcome: str) -> float:

@@ -8,12 +8,13 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from defplan_mj import files
-from defplan_mj.report.content import Fact, Missing, Section, Table, Text, duration, percent, wilson
+from defplan_mj.report.content import Fact, Missing, Section, Table, Text, duration, percent
 from defplan_mj.report.material import Material, gather
 from defplan_mj.report.planning_sections import (
     comparison_section,
     episodes,
     evaluations,
+    interval,
     rate,
     success_section,
     training_section,
@@ -84,11 +85,10 @@ def summary(material: Material) -> list[Fact]:
     facts = []
     for label, result in evaluations(material.documents.get("evaluation")):
         n, success = episodes(result), rate(result, "success")
-        low, high = wilson(round(success * n), n)
-        detail = f"{label.replace('_', ' ')}; 95%: {100 * low:.0f} to {100 * high:.0f}%"
+        low, high = interval(result)
+        detail = f"{label}; 95%: {100 * low:.0f} to {100 * high:.0f}%"
         facts.append(Fact(percent(success), f"of {n} targets reached", detail))
-    results = material.documents.get("gait", {}).get("gait")
-    for task in (results.get("tasks", []) if isinstance(results, dict) else [])[:1]:
+    for task in material.switching.get("tasks", [])[:1]:
         facts.append(Fact(f"{task['advance_m']:.2f} m", "a cycle", f"gait '{task['name']}'"))
     stages = {k: v for k, v in material.seconds.items() if k != "total"}
     if stages:

@@ -19,7 +19,7 @@ from defplan_mj.report.content import (
     mean_sd,
     number,
 )
-from defplan_mj.report.gait_figures import controls_figure, path_figure
+from defplan_mj.report.gait_figures import controls_figure, history_figure, path_figure
 from defplan_mj.report.material import Material
 
 
@@ -106,6 +106,15 @@ def gait_section(material: Material) -> Section:
                 "from rest, with the body's silhouette from above.",
             )
         )
+    history = gait.meta.get("history", [])
+    if isinstance(history, list) and len(history) > 1:
+        section.blocks.append(
+            drawing(
+                history_figure(history),
+                "The solver's objective (mean cost of a cycle) over its iterations, smaller is better; "
+                "dotted: the best so far.",
+            )
+        )
     section.blocks += _gait_tables(material)
     return section
 
@@ -113,8 +122,8 @@ def gait_section(material: Material) -> Section:
 def _gait_tables(material: Material) -> list[Block]:
     """Return the tables on advance and yaw a cycle, on switching, and on the solvers."""
     blocks: list[Block] = []
-    results = material.documents.get("gait", {}).get("gait")
-    tasks = results.get("tasks", []) if isinstance(results, dict) else []
+    results = material.switching
+    tasks = results.get("tasks", [])
     if tasks:
         rows = [
             [
@@ -127,17 +136,28 @@ def _gait_tables(material: Material) -> list[Block]:
         switching = results.get("switching") or {}
         note = ""
         if switching:
-            note = f" {switching.get('falls')} falls in {switching.get('cycles')} cycles."
+            note = (
+                f" {switching.get('falls')} of {switching.get('cycles')} cycles tilt past 30 degrees "
+                "or lose the forward direction."
+            )
         caption = "What a cycle does while gaits are switched at random (mean ± sd)." + note
         blocks.append(Table(["gait", "advance (m)", "yaw (rad)"], rows, caption))
     else:
         blocks.append(Missing("Advance and yaw a cycle under switching were not measured yet."))
-    solvers = solver_rows(material.documents.get("gait", {}).get("solvers"))
+    solvers = solver_rows(material.documents.get("gait_solvers", {}).get("solvers"))
     if solvers:
-        columns = ["solver", "objective", "after re-simulation", "seconds", "forward (m a cycle)"]
+        columns = [
+            "solver",
+            "its objective",
+            "re-simulated",
+            "seconds",
+            "advance (m)",
+            "lost cycles",
+        ]
         caption = (
-            "The gait solvers on the same problem. A solver's own objective counts for nothing "
-            "until the gait it found is simulated again, step by step."
+            "The gait solvers on the same problem. What a solver claims counts for nothing until its "
+            "gaits are simulated again, step by step: the objective then, the first gait's advance a "
+            "cycle while gaits are switched, and the cycles that tilt or go backwards."
         )
         blocks.append(Table(columns, solvers, caption))
     else:
@@ -146,7 +166,7 @@ def _gait_tables(material: Material) -> list[Block]:
 
 
 def solver_rows(solvers: Any) -> list[list[str]]:
-    """Return a row a solver: its own objective, the re-simulated one, seconds, advance."""
+    """Return a row a solver: its own objective, the re-simulated one, seconds, advance, falls."""
     if not isinstance(solvers, list):
         return []
     return [
@@ -156,6 +176,7 @@ def solver_rows(solvers: Any) -> list[list[str]]:
             number(solver.get("resimulated")),
             number(solver.get("seconds"), 1),
             number(solver.get("advance_m")),
+            str(solver.get("falls", "–")),
         ]
         for solver in solvers
     ]
