@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -69,6 +70,7 @@ def view(
 
     physics, task = environment.physics, environment.task
     outcomes: list[str] = []
+    others = set(threading.enumerate())
     model, data = physics.model.ptr, physics.data.ptr
     with viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
         follow_robot(window.cam, model)
@@ -95,6 +97,9 @@ def view(
         finally:
             if hooked:
                 task.step_hook = before
+    # the viewer closes in a thread of its own; leaving before it has may end in an X error
+    for thread in set(threading.enumerate()) - others:
+        thread.join(timeout=5.0)
     return [outcome for outcome in outcomes if outcome]
 
 
