@@ -279,7 +279,8 @@ def _environment_cycles(environment: Any, repeats: int) -> Timing:
         environment.step(0)
         return time.perf_counter() - start
 
-    samples, whole = [], environment.task.gait.cycle_seconds
+    samples: list[float] = []
+    whole = environment.task.gait.cycle_seconds
     for _ in range(5):
         cycle()
     while len(samples) < repeats:

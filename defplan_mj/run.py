@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,10 +18,14 @@ from defplan_mj.store import RunFolder, file_hash
 from defplan_mj.task import Progress, TaskSpec, no_progress
 
 if TYPE_CHECKING:
+    from dm_control.rl.control import Environment
+
     from defplan_mj.body.model import Body
     from defplan_mj.dynamics.reduced import ReducedDynamics
     from defplan_mj.gait.gait import Gait
+    from defplan_mj.log.recorder import Recorder, RunFiles
     from defplan_mj.planning.planner import Planner
+    from defplan_mj.planning.scenes import Scene
     from defplan_mj.planning.surrogate import Surrogate
 
 STAGES = ("body", "gait", "surrogate", "planner", "evaluation")
@@ -51,6 +54,31 @@ class RunOptions:
     episodes: int = 200
     logged: int = 4
     remake: str | None = None
+
+
+@dataclass(frozen=True)
+class Recorders:
+    """Gives each of the first episodes a recorder; picklable, for evaluations in processes.
+
+    Attributes:
+        folder: where the logs go, as '<scenes>-<episode>.mcap'.
+        scenes: 'k2' or 'novel'.
+        count: how many episodes are logged.
+        parts: what is attached to every log; filled in by `Run.evaluate`.
+    """
+
+    folder: Path
+    scenes: str
+    count: int
+    parts: RunFiles | None = None
+
+    def __call__(self, index: int, scene: Scene) -> Recorder | None:
+        """Return the recorder of episode `index`."""
+        from defplan_mj.log.recorder import Recorder
+
+        if index >= self.count or self.parts is None:
+            return None
+        return Recorder(self.folder / f"{self.scenes}-{index:02d}.mcap", self.parts)
 
 
 class Run:
@@ -119,19 +147,20 @@ class Run:
         from defplan_mj.gait.problem import GaitProblem
         from defplan_mj.gait.switching import evaluate_switching
 
-        solver = self.gait_solver
+        solver, spec = self.gait_solver, self.spec
         path, switching = self.folder.file("gait.npz"), self.folder.file(GAIT_FILE)
 
         def make() -> Iterable[Path]:
-            problem = GaitProblem.of(self.spec, self.dynamics)
+            problem = GaitProblem(
+                self.dynamics, spec.gait_tasks, spec.steps_per_cycle, spec.gait_steps
+            )
             gait = solver.solve(problem, self.options.seed, self._stage("gait"))
             gait.save(path)
             measured = evaluate_switching(self.dynamics, gait, SWITCHING_CYCLES, self.options.seed)
-            write_json(switching, measured.to_json())
+            write_json(switching, {"gait": measured.to_json()})
             return [path, switching]
 
         _ = self.body
-        spec = self.spec
         inputs = {
             "body": self.hashes["body.npz"],
             "solver": solver.name,
@@ -198,7 +227,7 @@ class Run:
 
     # ---- the rest
 
-    def evaluate(self) -> dict[str, Any]:
+    def evaluation(self) -> dict[str, Any]:
         """Evaluate the planner on the K2 and the novel scenes, with and without the shield.
 
         The K2 episodes with the shield are logged, and some of the novel ones.
@@ -209,14 +238,24 @@ class Run:
         path = self.folder.file(EVALUATION_FILE)
 
         def make() -> Iterable[Path]:
-            results, logs = self._evaluate_all(self._stage("evaluation"))
-            write_json(path, results)
-            return [path, *logs]
+            found: dict[str, dict[str, Any]] = {}
+            logged = {"k2": self.spec.navigation.k2, "novel": self.options.logged}
+            for scenes, count in logged.items():
+                for shield in (True, False):
+                    name = "with_shield" if shield else "without_shield"
+                    episodes = self.options.episodes if scenes == "novel" else None
+                    log = Recorders(self.folder.path, scenes, count) if shield else None
+                    result = self.evaluate(scenes, shield, episodes=episodes, log=log)
+                    found.setdefault(scenes, {})[name] = result
+            write_json(path, found)
+            logs = [self.folder.path.glob(f"{scenes}-*.mcap") for scenes in logged]
+            return [path, *(p for of in logs for p in of if ".partial" not in p.name)]
 
         _ = self.planner
         inputs = {
             "surrogate": self.hashes["surrogate.npz"],
             "policy": self.hashes[self.policy.name],
+            "planner": self.planner_solver.name,
             "navigation": dataclasses.asdict(self.spec.navigation),
             "episodes": self.options.episodes,
             "logged": self.options.logged,
@@ -224,6 +263,86 @@ class Run:
         }
         self._make("evaluation", inputs, make)
         return json.loads(path.read_text(encoding="utf-8"))
+
+    def evaluate(
+        self,
+        scenes: str,
+        shield: bool,
+        *,
+        episodes: int | None = None,
+        obstacles: int | None = None,
+        obstacle_speed: float = 0.0,
+        log: Recorders | None = None,
+    ) -> dict[str, Any]:
+        """Let the planner steer through scenes; the same seed and options give the same scenes.
+
+        Args:
+            scenes: 'k2' or 'novel'.
+            shield: wrap the planner in the safety shield.
+            episodes: how many (None: the task's number of K2 targets, the run's of novel ones).
+            obstacles: on the way to each target (None: the task's).
+            obstacle_speed: m/s.
+            log: where the logs go; None: nowhere.
+
+        Returns:
+            JSON-able: number of episodes, rates and their intervals, and 'rows', one an episode.
+        """
+        from defplan_mj.log.recorder import RunFiles
+        from defplan_mj.planning.evaluation import evaluate
+        from defplan_mj.planning.scenes import k2_scenes, novel_scenes
+
+        navigation, seed = self.spec.navigation, self.options.seed
+        if scenes == "k2":
+            chosen = k2_scenes(navigation, seed, episodes, obstacles, obstacle_speed)
+        else:
+            count = episodes or self.options.episodes
+            chosen = novel_scenes(navigation, count, seed, obstacles, obstacle_speed)
+        planner = self.planner
+        if log is not None:
+            parts = RunFiles.of(self.body, self.gait, self.surrogate, self.policy)
+            log = dataclasses.replace(log, parts=parts)
+        context = {
+            "task": self.spec.name,
+            "seed": seed,
+            "planner": self.planner_solver.name,
+            "shield": shield,
+            "navigation": dataclasses.asdict(navigation),
+        }
+        name = f"evaluation: {scenes}, {'with' if shield else 'without'} shield"
+        return evaluate(
+            self.body,
+            self.gait,
+            self.surrogate,
+            navigation,
+            planner,
+            chosen,
+            shield=shield,
+            recorder=log,
+            context=context,
+            progress=lambda _, fraction: self._progress(name, fraction),
+        ).to_json()
+
+    def steering(self, shield: bool) -> Planner:
+        """Return the planner, in the safety shield if that is wanted."""
+        from defplan_mj.planning.shield import Shield
+
+        if not shield:
+            return self.planner
+        return Shield(self.planner, self.surrogate, self.spec.navigation)
+
+    def environment(self, obstacles: int | None = None) -> Environment:
+        """Return the navigation environment; it draws novel scenes from the run's seed."""
+        from defplan_mj.host.navigation import navigation_environment
+        from defplan_mj.planning.scenes import novel_scenes
+
+        navigation = self.spec.navigation
+
+        def sampler(random: np.random.RandomState) -> Scene:
+            return novel_scenes(navigation, 1, int(random.randint(2**31)), obstacles)[0]
+
+        return navigation_environment(
+            self.body, self.gait, navigation, sampler, random=self.options.seed
+        )
 
     def report(self) -> Path:
         """Write the report, or find it as it was written of the same files."""
@@ -243,9 +362,9 @@ class Run:
         gait = self.gait_results()
         surrogate = self.surrogate_results()
         _ = self.planner
-        evaluation = self.evaluate()
+        evaluation = self.evaluation()
         report = self.report()
-        seconds = {name: self.folder.seconds(self._key(name)) for name in STAGES}
+        seconds = {name: self.seconds(name) for name in STAGES}
         logs = sorted(str(self.folder.file(n)) for n in self.hashes if n.endswith(".mcap"))
         return {
             "task": self.spec.name,
@@ -254,8 +373,8 @@ class Run:
             "gait": gait,
             "surrogate": surrogate,
             "evaluation": {
-                scenes: summary(both["with_shield"])
-                | {"without_shield": summary(both["without_shield"])}
+                scenes: without_rows(both["with_shield"])
+                | {"without_shield": without_rows(both["without_shield"])}
                 for scenes, both in evaluation.items()
             },
             "files": {
@@ -286,6 +405,10 @@ class Run:
 
     # ---- helpers
 
+    def seconds(self, stage: str) -> float:
+        """Return the wall time a stage took when it was made, s."""
+        return self.folder.seconds(self._key(stage))
+
     @property
     def policy(self) -> Path:
         """Where the planner lies; one that is not the task's own lies beside it."""
@@ -309,7 +432,13 @@ class Run:
         self.hashes.update(self.folder.stage(self._key(stage), inputs, make, fresh))
 
     def _stage(self, stage: str) -> Progress:
-        return lambda message, fraction: self._progress(f"{stage}: {message}", fraction)
+        """Return a Progress that names the stage."""
+
+        def show(message: str, fraction: float) -> None:
+            detail = message.removeprefix(stage).lstrip(": ")
+            self._progress(f"{stage}: {detail}" if detail else stage, fraction)
+
+        return show
 
 
 @contextlib.contextmanager
@@ -335,6 +464,11 @@ def open_run(
     folder = RunFolder(path, config, fresh, keep=not configure)
     with folder:
         yield Run(spec, folder, options, progress)
+
+
+def without_rows(evaluation: dict[str, Any]) -> dict[str, Any]:
+    """Return an evaluation without its single episodes."""
+    return {name: value for name, value in evaluation.items() if name != "rows"}
 
 
 def write_json(path: Path, data: Any) -> None:

@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from defplan_mj.cli.console import Console, table
+from defplan_mj.cli.console import Console
 from defplan_mj.cli.text import bench_text, evaluation_text, gait_text, run_text, surrogate_text
 
 if TYPE_CHECKING:
@@ -115,15 +115,28 @@ def planner(arguments: argparse.Namespace, console: Console) -> int:
 
 def evaluate(arguments: argparse.Namespace, console: Console) -> int:
     """Let a planner steer the reduced dynamics through scenes, and count how the episodes end."""
+    from defplan_mj.run import Recorders, without_rows
+
+    log = None
+    if arguments.log is not None:
+        log = Recorders(arguments.log, arguments.scenes, 10**9)
     with _stage(arguments, console, "evaluation", planner=arguments.planner) as run:
-        data = run.evaluate_once(
+        result = run.evaluate(
             arguments.scenes,
-            shield=arguments.shield,
+            arguments.shield,
             episodes=arguments.episodes,
             obstacles=arguments.obstacles,
             obstacle_speed=arguments.obstacle_speed,
-            log=arguments.log,
+            log=log,
         )
+    data = {
+        "task": arguments.task,
+        "seed": arguments.seed,
+        "planner": run.planner_solver.name,
+        "shield": arguments.shield,
+        "scenes": arguments.scenes,
+        **without_rows(result),
+    }
     console.result(data, evaluation_text(data))
     return 0
 
@@ -180,8 +193,7 @@ def view(arguments: argparse.Namespace, console: Console) -> int:
     require_display()  # before any work
     with _stage(arguments, console, "view", planner=arguments.planner) as run:
         environment = run.environment(arguments.obstacles)
-        planner = run.chosen_planner(arguments.shield)
-    environment.task.random.seed(arguments.seed)
+        planner = run.steering(arguments.shield)
     outcomes = view(environment, lambda step: int(planner.values(step.observation).argmax()))
     console.result({"outcomes": outcomes}, "\n".join(outcomes))
     return 0

@@ -61,13 +61,13 @@ def evaluation_text(data: dict[str, Any]) -> str:
 
 
 def _evaluation_row(data: dict[str, Any]) -> list[str]:
-    low, high = data["success_interval"]
+    low, high = data["interval"]["success"]
     return [
         str(data["episodes"]),
-        f"{data['success']} ({100 * data['success_rate']:.1f}%)",
+        f"{100 * data['success']:.1f}%",
         f"{100 * low:.1f}-{100 * high:.1f}%",
-        str(data["collision"]),
-        str(data["timeout"]),
+        f"{100 * data['collision']:.1f}%",
+        f"{100 * data['timeout']:.1f}%",
         f"{data['real_time_factor']:.0f}",
     ]
 
