@@ -112,7 +112,6 @@ def navigate(
         scene=scene,
         time_limit=time_limit,
         random=random,
-        texture=skin_texture(),
         environment_kwargs=environment_kwargs,
     )
 

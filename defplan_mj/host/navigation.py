@@ -15,11 +15,11 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.host.skin import texture_of
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.task import Navigation
 
 COLLISION_PENALTY = 1000.0  # Eq. 2
-MAX_OBSTACLES = 16
 
 SceneSampler = Callable[[np.random.RandomState], Scene]
 StepHook = Callable[[Physics, np.ndarray], None]
@@ -197,7 +197,7 @@ def navigation_environment(
     scene: Scene | None = None,
     time_limit: float = float("inf"),
     random: np.random.RandomState | int | None = None,
-    texture: np.ndarray | None = None,
+    max_obstacles: int = 32,
     environment_kwargs: dict | None = None,
 ) -> control.Environment:
     """Return the navigation task of `body` with `gait` as a dm_control environment.
@@ -207,7 +207,7 @@ def navigation_environment(
         sampler: draws scenes with the task's generator.
         scene: keep to this one; later ones are set as `env.task.scene`.
         time_limit: s; a scene's own max_cycles holds anyway.
-        texture: of the skin, see `skin.add_skin`.
+        max_obstacles: room for the obstacles of a scene.
 
     Raises:
         DefplanError: the gait is of another body, or asks for larger shapes than the body has.
@@ -226,10 +226,10 @@ def navigation_environment(
         body,
         gait.timestep,
         normalised_controls=False,
-        max_obstacles=MAX_OBSTACLES,
+        max_obstacles=max_obstacles,
         beams=navigation.beams,
         laser_range=navigation.laser_range,
-        texture=texture,
+        texture=texture_of(body),
     )
     task = Navigate(gait, sampler, scene=scene, time_limit=time_limit, random=random)
     return control.Environment(

@@ -37,7 +37,7 @@ def set_scene(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
     if len(scene.radii) > room:
         raise DefplanError(
             f"the scene has {len(scene.radii)} obstacles, this model has room for {room}:"
-            " build it with a larger max_obstacles"
+            " take fewer, or build it with a larger max_obstacles"
         )
     if scene.shape not in _SHAPES:
         raise DefplanError(

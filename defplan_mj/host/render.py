@@ -12,9 +12,10 @@ import imageio.v2 as imageio
 import mujoco
 import numpy as np
 
-from defplan_mj import files, registry
+from defplan_mj import files
 from defplan_mj.body.model import Body
 from defplan_mj.errors import DefplanError
+from defplan_mj.host import skin
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.planning.scenes import Scene
@@ -137,7 +138,7 @@ def _frames(
     trail: bool,
 ) -> Iterator[np.ndarray]:
     room = 0 if scene is None else len(scene.radii)
-    spec = build_spec(body, timestep, max_obstacles=room, texture=texture_of(body))
+    spec = build_spec(body, timestep, max_obstacles=room, texture=skin.texture_of(body))
     model = compile_model(spec)
     data = mujoco.MjData(model)
     if scene is None:
@@ -191,17 +192,6 @@ def _camera(
     camera.orthographic = model.vis.global_.orthographic = 1
     model.vis.global_.fovy = float(max(high[1] - low[1], (high[0] - low[0]) * height_to_width))
     return camera
-
-
-def texture_of(body: Body) -> np.ndarray | None:
-    """Return the skin picture that the suite domain called like the body has, or None."""
-    if body.name not in registry.names(registry.DOMAINS):
-        return None
-    try:
-        picture = getattr(registry.get_domain(body.name), "skin_texture", None)
-    except DefplanError:  # a broken domain costs the picture, not the video
-        return None
-    return None if picture is None else picture()
 
 
 def _write(frames: Iterator[np.ndarray], path: Path, fps: float, still: bool) -> None:

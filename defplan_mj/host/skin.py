@@ -5,7 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from defplan_mj import registry
 from defplan_mj.body.model import Body
+from defplan_mj.errors import DefplanError
 
 BACK = (0.16, 0.30, 0.42)
 BELLY = (0.85, 0.87, 0.82)
@@ -23,6 +25,17 @@ def shaded_texture(
     blend = np.linspace(1, 0, 64)[:, None, None] ** 1.5
     column = blend * np.asarray(back) + (1 - blend) * np.asarray(belly)
     return np.round(255 * np.broadcast_to(column, (64, 8, 3))).astype(np.uint8)
+
+
+def texture_of(body: Body) -> np.ndarray | None:
+    """Return the skin picture that the suite domain called like the body has, or None."""
+    if body.name not in registry.names(registry.DOMAINS):
+        return None
+    try:
+        picture = getattr(registry.get_domain(body.name), "skin_texture", None)
+    except DefplanError:  # a broken domain costs the picture, not the video
+        return None
+    return None if picture is None else picture()
 
 
 def add_skin(
