@@ -233,3 +233,21 @@ def test_an_unwritable_folder_is_one_sentence(tmp_path):
     x = np.zeros(13 + 2 * MODES)
     with pytest.raises(DefplanError, match="cannot write log"):
         recorder.begin({"timestep": TIMESTEP, "state": x}, sample_scene())
+
+
+def test_chunks_do_not_overlap_in_time_and_end_with_a_cycle(tmp_path):
+    record_episode(tmp_path / "a.mcap", cycles=9)
+    with open(tmp_path / "a.mcap", "rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    spans = [(c.message_start_time, c.message_end_time) for c in chunks]
+    assert len(spans) > 3
+    assert all(a[1] <= b[0] for a, b in zip(spans, spans[1:], strict=False))
+    assert max(b - a for a, b in spans) <= 1e9
+    cycle = round(STEPS_PER_CYCLE * TIMESTEP * 1e9)
+    assert all(end % cycle == 0 for _, end in spans)
+
+
+def test_a_log_holds_each_schema_once(logged):
+    with open(logged[0], "rb") as stream:
+        names = [s.name for s in make_reader(stream).get_summary().schemas.values()]
+    assert sorted(names) == sorted({k.DESCRIPTOR.full_name for k in schemas.CHANNELS.values()})

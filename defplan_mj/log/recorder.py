@@ -165,7 +165,10 @@ class Recorder:
                 self._writer.add_attachment(0, 0, name, "application/octet-stream", data)
         except OSError as error:
             raise self._failure(error) from error
-        kinds = {kind: register_schema(self._writer, kind) for kind in schemas.CHANNELS.values()}
+        kinds = {
+            kind: register_schema(self._writer, kind)
+            for kind in dict.fromkeys(schemas.CHANNELS.values())
+        }
         self._channels = {
             topic: self._writer.register_channel(topic, "protobuf", kinds[kind])
             for topic, kind in schemas.CHANNELS.items()
@@ -173,6 +176,7 @@ class Recorder:
         now = _ns(time)
         self._write(schemas.SCENE, now, scene_update(scene, now))
         self._write_state(now, wire.timestamp(now), x)
+        self._flush(time)
 
     def step(self, time: float, x: np.ndarray, target_shape: np.ndarray, clearance: float) -> None:
         """Log one physics step.
@@ -184,8 +188,7 @@ class Recorder:
             clearance: smallest distance from body to obstacle at x, m (negative: in collision).
         """
         if time - self._chunk_time >= CHUNK_SECONDS:
-            self._flush()
-            self._chunk_time = time
+            self._flush(time)
         now = _ns(time)
         stamp = wire.timestamp(now)
         self._steps += 1
@@ -236,8 +239,12 @@ class Recorder:
         if surrogate_pose is not None:
             message = wire.pose_in_frame(stamp, self._frame, surrogate_pose.tolist())
             self._write(schemas.SURROGATE, end, message)
+        last = self._cycle_times[-1]
+        if 2 * last - self._cycle_times[0] - self._chunk_time > CHUNK_SECONDS:
+            # another such cycle would not fit; between cycles, chunks do not overlap in time
+            self._flush(last)
         self._cycles += 1
-        self._cycle_times = self._cycle_times[-1:]
+        self._cycle_times = [last]
         self._start = self._last
 
     def end(self, outcome: str, reason: str = "") -> None:
@@ -322,9 +329,10 @@ class Recorder:
         # `sequence` counts physics steps: it joins messages of one step whatever their times say
         self._writer.add_message(self._channels[topic], now, message, now, self._steps)
 
-    def _flush(self) -> None:
+    def _flush(self, time: float) -> None:
         """End the chunk: what was written until now survives whatever comes."""
         assert self._writer is not None
+        self._chunk_time = time
         try:
             self._writer.flush()
         except OSError as error:
