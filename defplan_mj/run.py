@@ -5,16 +5,17 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from defplan_mj import files, registry
-from defplan_mj.store import RunFolder, file_hash
+from defplan_mj.store import RunFolder, file_hash, read_config
 from defplan_mj.task import Progress, TaskSpec, no_progress
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ STAGES = ("body", "gait", "surrogate", "planner", "evaluation")
 SWITCHING_CYCLES = 200
 GAIT_FILE, EVALUATION_FILE, REPORT_FILE = "gait.json", "evaluation.json", "report.html"
 TRAINING_VERSION = 1
+CONFIGURATION = ("gait_solver", "planner", "pairs", "episodes", "logged")  # kept in run.json
 
 
 @dataclass(frozen=True)
@@ -445,24 +447,35 @@ class Run:
 def open_run(
     spec: TaskSpec,
     logs: Path,
-    options: RunOptions = RunOptions(),
+    seed: int = 0,
+    chosen: Mapping[str, Any] = MappingProxyType({}),
     progress: Progress = no_progress,
-    configure: bool = True,
+    *,
+    whole: bool = False,
     fresh: bool = False,
 ) -> Iterator[Run]:
     """Open the folder `logs/<task>-seed<seed>` and yield its run.
 
     Args:
-        configure: write `options` to run.json as what the run was asked for.
+        chosen: fields of `RunOptions`; what is missing or None is as the folder's run was asked for,
+            or else the default.
+        whole: the folder is for a whole run: what is not chosen is the default, whatever the folder's
+            run was asked for before.
         fresh: forget everything made before.
 
     Raises:
-        DefplanError: a plugin is unknown, or the folder is in use or cannot be written.
+        DefplanError: the folder is in use or cannot be written.
     """
-    config = {"task": spec.name, **dataclasses.asdict(options)}
-    path = logs / f"{spec.name}-seed{options.seed}"
-    folder = RunFolder(path, config, fresh, keep=not configure)
-    with folder:
+    path = logs / f"{spec.name}-seed{seed}"
+    before = {} if whole else read_config(path)
+    given = {name: value for name, value in chosen.items() if value is not None}
+    kept = {name: before[name] for name in CONFIGURATION if name in before}
+    options = RunOptions(seed=seed, **{**kept, **given})
+    config = {"task": spec.name, "seed": seed}
+    config |= {name: getattr(options, name) for name in CONFIGURATION}
+    if not whole:  # a planner that is tried beside the run's own does not take its place
+        config["planner"] = kept.get("planner")
+    with RunFolder(path, config, fresh) as folder:
         yield Run(spec, folder, options, progress)
 
 

@@ -54,18 +54,14 @@ class RunFolder:
         path: the folder; made if it is missing.
         config: what the run was asked for; written to run.json.
         fresh: forget what was made before.
-        keep: if run.json is there, keep what it says the run was asked for.
 
     Raises:
         DefplanError: another process is at work in the folder, or it cannot be written.
     """
 
-    def __init__(
-        self, path: Path, config: Mapping[str, Any], fresh: bool = False, keep: bool = False
-    ) -> None:
+    def __init__(self, path: Path, config: Mapping[str, Any], fresh: bool = False) -> None:
         self.path = path
         self.config = dict(config)
-        self.keep = keep
         self.fresh = fresh
         self.records: dict[str, Record] = {}
         self._lock: IO[str] | None = None
@@ -84,11 +80,8 @@ class RunFolder:
                 f"another defplan is at work in {self.path}: wait for it or choose another --logs"
             ) from error
         self._sweep()
-        config, self.records = self._read()
-        if self.keep and config:
-            self.config = config
+        self.records = {} if self.fresh else _read(self.path)[1]
         if self.fresh:
-            self.records = {}
             self._write()
         return self
 
@@ -154,17 +147,6 @@ class RunFolder:
             for path in self.path.glob(pattern):
                 path.unlink(missing_ok=True)
 
-    def _read(self) -> tuple[dict[str, Any], dict[str, Record]]:
-        """Read run.json: configuration and records; one that is damaged counts as not there."""
-        try:
-            data = json.loads(self.file(RUN_FILE).read_text(encoding="utf-8"))
-            if data["format"] != FORMAT_VERSION:
-                return {}, {}
-            records = {name: Record(**record) for name, record in data["stages"].items()}
-            return dict(data["config"]), records
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            return {}, {}
-
     def _write(self) -> None:
         from defplan_mj.log.recorder import versions  # here: it loads a lot
 
@@ -176,3 +158,20 @@ class RunFolder:
             "stages": {name: asdict(record) for name, record in self.records.items()},
         }
         files.write_text(self.file(RUN_FILE), json.dumps(data, indent=1, default=str) + "\n")
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """Return what the run in the folder `path` was asked for; empty if there is none."""
+    return _read(path)[0]
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Record]]:
+    """Read run.json: configuration and records; one that is damaged counts as not there."""
+    try:
+        data = json.loads((path / RUN_FILE).read_text(encoding="utf-8"))
+        if data["format"] != FORMAT_VERSION:
+            return {}, {}
+        records = {name: Record(**record) for name, record in data["stages"].items()}
+        return dict(data["config"]), records
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}, {}

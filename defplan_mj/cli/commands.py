@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     }
     with (
         console.progress() as progress,
-        _open(arguments, progress, configure=True, **chosen) as run,
+        _open(arguments, progress, whole=True, **chosen) as run,
     ):
         data = run.results()
     console.result(data, run_text(data))
@@ -153,22 +153,21 @@ def bench(arguments: argparse.Namespace, console: Console) -> int:
 
 @contextlib.contextmanager
 def _open(
-    arguments: argparse.Namespace, progress: Progress, configure: bool = False, **chosen: Any
+    arguments: argparse.Namespace, progress: Progress, whole: bool = False, **chosen: Any
 ) -> Iterator[Run]:
     """Yield the run that the arguments name.
 
     Args:
-        configure: this is `defplan run`: what it is asked for goes into run.json, and --fresh
-            means everything, not one stage.
-        chosen: further `RunOptions`.
+        whole: this is `defplan run`: --fresh means everything, not one stage.
+        chosen: fields of `RunOptions`; None: as the run in the folder was asked for.
     """
     from defplan_mj import registry
-    from defplan_mj.run import RunOptions, open_run
+    from defplan_mj.run import open_run
 
     spec = registry.get_task(arguments.task)
-    options = RunOptions(seed=arguments.seed, **chosen)
+    fresh = whole and arguments.fresh
     with open_run(
-        spec, arguments.logs, options, progress, configure, configure and arguments.fresh
+        spec, arguments.logs, arguments.seed, chosen, progress, whole=whole, fresh=fresh
     ) as run:
         yield run
 

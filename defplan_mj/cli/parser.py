@@ -85,9 +85,9 @@ def _run(sub: argparse.ArgumentParser) -> None:
     _task(sub)
     _stage(sub)
     sub.add_argument("--gait-solver", metavar="NAME", help="(default: the task's)")
-    sub.add_argument("--planner", metavar="NAME", help="(default: the task's)")
-    sub.add_argument("--pairs", type=_count, default=1000, help="for the surrogate (default: 1000)")
-    sub.add_argument("--episodes", type=_count, default=200, help="novel scenes (default: 200)")
+    sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
+    sub.add_argument("--pairs", type=_count, metavar="N", help="for the surrogate (default: 1000)")
+    sub.add_argument("--episodes", type=_count, metavar="N", help="novel scenes (default: 200)")
     _common(sub)
 
 
@@ -120,28 +120,28 @@ def _body(sub: argparse.ArgumentParser) -> None:
 
 def _gait(sub: argparse.ArgumentParser) -> None:
     _task(sub)
-    sub.add_argument("--solver", metavar="NAME", help="gait solver (default: the task's)")
+    sub.add_argument("--solver", metavar="NAME", help="gait solver (default: the run's or task's)")
     _stage(sub)
     _common(sub)
 
 
 def _surrogate(sub: argparse.ArgumentParser) -> None:
     _task(sub)
-    sub.add_argument("--pairs", type=_count, default=1000, help="(default: 1000)")
+    sub.add_argument("--pairs", type=_count, metavar="N", help="(default: the run's, or 1000)")
     _stage(sub)
     _common(sub)
 
 
 def _planner(sub: argparse.ArgumentParser) -> None:
     _task(sub)
-    sub.add_argument("--planner", metavar="NAME", help="(default: the task's)")
+    sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
     _stage(sub)
     _common(sub)
 
 
 def _evaluate(sub: argparse.ArgumentParser) -> None:
     _task(sub)
-    sub.add_argument("--planner", metavar="NAME", help="(default: the task's)")
+    sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
     sub.add_argument(
         "--shield",
         action=argparse.BooleanOptionalAction,
@@ -190,7 +190,7 @@ def _replay(sub: argparse.ArgumentParser) -> None:
 
 def _view(sub: argparse.ArgumentParser) -> None:
     _task(sub)
-    sub.add_argument("--planner", metavar="NAME", help="(default: the task's)")
+    sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
     sub.add_argument(
         "--shield", action=argparse.BooleanOptionalAction, default=True, help="(default: with it)"
     )
