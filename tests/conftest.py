@@ -63,7 +63,7 @@ def rendering(pytestconfig: pytest.Config) -> None:
 @pytest.fixture(scope="session")
 def small_fish() -> Body:
     """Return the fish on a coarse mesh: fast to build and to compare with the full FEM."""
-    options = BodyOptions(vertices=300, modes=5, basis=16, samples=12, patches=40)
+    options = BodyOptions(vertices=300, modes=5, basis=20, samples=16, patches=40)
     return build_body(FISH_MESH, options, name="small fish")
 
 
