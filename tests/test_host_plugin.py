@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco import rollout
+from mujoco.batch import Batch
 
 from defplan_mj.errors import DefplanError
 from defplan_mj.host.plugin import load_plugin
@@ -136,6 +137,17 @@ def test_rollout_equals_single_steps(model, controls, threads):
     batch = [mujoco.MjData(model) for _ in range(threads)]
     rolled, _ = rollout.rollout(model, batch, start, np.tile(controls[:40], (6, 1, 1)))
     assert np.array_equal(rolled, np.array(states))
+
+
+def test_mujocos_batch_equals_single_steps(model, controls):
+    expected = _run(model, mujoco.MjData(model), controls[:40])
+    simulations = Batch(model, nsim=4, nthread=2)
+    qpos, qvel, ctrl = (simulations.bind(name) for name in ("qpos", "qvel", "ctrl"))
+    for control, state in zip(controls[:40], expected, strict=True):
+        ctrl[:] = control
+        simulations.step()
+        assert np.array_equal(qpos, np.tile(state[1 : 1 + model.nq], (4, 1)))
+        assert np.array_equal(qvel, np.tile(state[1 + model.nq :][: model.nv], (4, 1)))
 
 
 def test_python_threads_step_alike(model, controls):
