@@ -34,6 +34,16 @@ CHUNK_SECONDS = 1.0
 PARTIAL_SUFFIX = ".partial.mcap"
 """How the name of a log ends while its episode has not."""
 
+_PACKAGES = (
+    "mujoco",
+    "dm-control",
+    "numpy",
+    "scipy",
+    "casadi",
+    "torch",
+    "stable-baselines3",
+    "mcap",
+)
 _MESH_GRID = 2.0**-12  # m; drawn points are rounded to it, so that they compress
 _MESH_COLOUR = (0.16, 0.55, 0.62, 1.0)
 
@@ -344,9 +354,9 @@ class Recorder:
 
 @lru_cache
 def versions() -> dict[str, str]:
-    """Return what a bit-identical replay may depend on: packages, Python, system, processor."""
+    """Return what a bit-identical rerun may depend on: packages, Python, system, processor."""
     found = {"defplan": defplan_mj.__version__, "python": platform.python_version()}
-    for package in ("mujoco", "dm-control", "numpy", "casadi", "torch", "mcap"):
+    for package in _PACKAGES:
         try:
             found[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
