@@ -65,9 +65,10 @@ def choose_tetrahedra(features: np.ndarray, targets: np.ndarray, count: int) -> 
     floor = 1e-7 * np.einsum("cmi,cmi->c", blocks, blocks).max() * np.eye(9)
     chosen: list[int] = []
     for _ in range(count):
-        gram = np.einsum("cmi,cmj->cij", blocks, blocks) + floor
-        share = np.einsum("cmi,mk->cik", blocks, residual)
-        gain = np.einsum("cik,cik->c", share, np.linalg.solve(gram, share))
+        turned = blocks.transpose(0, 2, 1)
+        gram = turned @ blocks + floor
+        share = turned @ residual
+        gain = (share * np.linalg.solve(gram, share)).sum((1, 2))
         gain[chosen] = -1.0
         best = int(np.argmax(gain))
         chosen.append(best)

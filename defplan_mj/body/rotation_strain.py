@@ -19,7 +19,7 @@ from defplan_mj.body.tetmesh import TetMesh, shape_gradients, volumes
 STRAIN = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Order of the six strain components in a feature map."""
 _STRAIN_INDEX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-_CHUNK = 64  # shapes reconstructed at once: bounds the memory
+_CHUNK = 16  # shapes reconstructed at once: what fits in the cache
 
 
 def feature_map(mesh: TetMesh, modes: np.ndarray) -> np.ndarray:
@@ -100,7 +100,7 @@ class RotationStrain:
         return np.concatenate(list(self.displacements(np.atleast_2d(q))))
 
     def displacements(self, q: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield u of the shapes q (m, r) in pieces of (at most 64, n, 3), m."""
+        """Yield u of the shapes q (m, r) in pieces of (at most 16, n, 3), m."""
         for start in range(0, len(q), _CHUNK):
             yield self.nearest(deformation(self.features, q[start : start + _CHUNK]))
 

@@ -21,10 +21,11 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
-from defplan_mj.body.elasticity import SYMMETRIC, element_stiffness, lame
+from defplan_mj.body.elasticity import SYMMETRIC, lame
 from defplan_mj.body.model import Body
 from defplan_mj.body.rotation_strain import RotationStrain, strain_matrices
 from defplan_mj.body.tetmesh import TetMesh, boundary, shape_gradients, volumes
+from defplan_mj.dynamics.corotational import Response, density, polar, respond
 from defplan_mj.errors import DefplanError
 
 _SPEED_SQUARED = 1e-4  # m^2/s^2: rounds the tangential drag at rest, as in the reduced step
@@ -37,30 +38,6 @@ class StepInfo:
 
     iterations: int
     residual: float
-
-
-def polar(f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Split F = R S: rotations R (t, 3, 3), det 1, and symmetric S (t, 3, 3)."""
-    u, s, vt = np.linalg.svd(f)
-    sign = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    u[:, :, 2] *= sign[:, None]
-    s[:, 2] *= sign
-    return u @ vt, np.einsum("eji,ej,ejk->eik", vt, s, vt)
-
-
-def _axial(y: np.ndarray) -> np.ndarray:
-    """Return the axial vector (t, 3) of Y - Y^T (t, 3, 3)."""
-    skew = y - y.transpose(0, 2, 1)
-    return np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
-
-
-def _cross_matrix(w: np.ndarray) -> np.ndarray:
-    """Return the matrices [w] (..., 3, 3) with [w] v = w x v."""
-    matrix = np.zeros((*w.shape, 3))
-    matrix[..., 2, 1], matrix[..., 1, 2] = w[..., 0], -w[..., 0]
-    matrix[..., 0, 2], matrix[..., 2, 0] = w[..., 1], -w[..., 1]
-    matrix[..., 1, 0], matrix[..., 0, 1] = w[..., 2], -w[..., 2]
-    return matrix
 
 
 class FullFem:
@@ -88,13 +65,11 @@ class FullFem:
         self.volumes = volumes(body.vertices, body.tetrahedra)
         self.gradients = shape_gradients(body.vertices, body.tetrahedra)
         self.mu, self.lam = lame(body.material)
-        self.stiffness = element_stiffness(self.mesh, body.material)
-        crosses = _cross_matrix(self.gradients)
-        self._twist = crosses * np.sqrt(self.volumes)[:, None, None, None]
         self.faces, _ = boundary(body.tetrahedra)
         self._pattern()
-        height = body.vertices[:, 2]
-        moment = body.vertex_mass * height / (body.vertex_mass @ height**2)
+        # weights with sum_v w_v X_v = z: they read the body's z axis off its vertices
+        second = np.einsum("v,vi,vj->ij", body.vertex_mass, body.vertices, body.vertices)
+        moment = body.vertex_mass * (body.vertices @ np.linalg.inv(second)[:, 2])
         righting = body.mass * _STANDARD_GRAVITY * body.medium.righting_height * moment
         self._lift = righting + body.vertex_mass * body.medium.gravity  # N along z
 
@@ -112,7 +87,6 @@ class FullFem:
         starts = np.searchsorted(keys // (3 * n), np.arange(3 * n + 1))
         self._indptr = starts.astype(np.int32)
         self._diagonal = np.searchsorted(keys, np.arange(3 * n) * (3 * n + 1))
-        self._n_element = len(rows[0])
 
     def shape(self, q: np.ndarray) -> np.ndarray:
         """Return the vertices (n, 3) of the exact shape q (r,), centre of mass at the origin."""
@@ -132,9 +106,9 @@ class FullFem:
             )
         return strain_matrices(self.shapes.features[:, 3:] @ target)
 
-    def _psi(self, strain: np.ndarray) -> np.ndarray:
-        trace = np.trace(strain, axis1=1, axis2=2)
-        return self.mu * (strain**2).sum((1, 2)) + 0.5 * self.lam * trace**2
+    def _energy(self, strain: np.ndarray) -> float:
+        """Return the elastic energy (J) of strains (t, 3, 3)."""
+        return float(self.volumes @ density(strain, self.mu, self.lam))
 
     def _drag_terms(self, x1: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return centres (f, 3) and area vectors (f, 3) of the surface triangles at x1."""
@@ -158,23 +132,18 @@ class FullFem:
         """Like `step`, with how the solve went."""
         problem = _Step(self, x1, x0, target)
         x = 2.0 * x1 - x0
-        energy, gradient, hessian = problem.evaluate(x, True)
-        size = np.inf
+        now = problem.evaluate(x)
         for iteration in range(1, self.max_newton + 1):
-            move = -sla.splu(hessian, **SYMMETRIC).solve(gradient.ravel()).reshape(-1, 3)
-            slope = float((move * gradient).sum())
+            move, slope = problem.direction(now)
             size = float(np.abs(move).max())
             fraction = 1.0
-            while True:
-                new, new_gradient, new_hessian = problem.evaluate(
-                    x + fraction * move, size > self.tolerance
-                )
-                enough = energy + 1e-4 * fraction * slope + 1e-11 * abs(energy)
-                if new <= enough or fraction < 1e-6:
-                    break
+            new = problem.evaluate(x + move)
+            while new.energy > now.energy + 1e-4 * fraction * slope + 1e-11 * abs(now.energy):
                 fraction *= 0.5
-            x = x + fraction * move
-            energy, gradient, hessian = new, new_gradient, new_hessian
+                if fraction < 1e-6:
+                    break
+                new = problem.evaluate(x + fraction * move)
+            x, now = x + fraction * move, new
             if size <= self.tolerance:
                 return x, StepInfo(iteration, size)
         raise DefplanError(
@@ -195,15 +164,25 @@ class FullFem:
         _, s = polar(self.deformation(x1))
         return {
             "kinetic": 0.5 * float(mass @ (velocity**2).sum(1)),
-            "elastic": float(self.volumes @ self._psi(s - np.eye(3))),
+            "elastic": self._energy(s - np.eye(3)),
             "potential": -float(self._lift @ x1[:, 2]) if self.drag else 0.0,
             "momentum": mass @ velocity,
             "angular_momentum": mass @ np.cross(x1, velocity),
         }
 
 
+@dataclass(frozen=True)
+class _Point:
+    """An iterate: energy (J), gradient (n, 3), the material's response, the drag's Hessian."""
+
+    energy: float
+    gradient: np.ndarray
+    elastic: Response
+    drag: np.ndarray | None
+
+
 class _Step:
-    """The function one step minimises, with its gradient and a positive definite Hessian."""
+    """The function one step minimises, with its gradient and Hessian."""
 
     def __init__(
         self, fem: FullFem, x1: np.ndarray, x0: np.ndarray, target: np.ndarray | None
@@ -219,22 +198,17 @@ class _Step:
         # the three quadratic terms are one around their weighted mean, plus a constant
         self.weight = 1.0 + control + damping
         self.centre = np.eye(3) + (control * strain + damping * (before - np.eye(3))) / self.weight
-        self.constant = float(
-            fem.volumes
-            @ (
-                fem._psi(self.centre - np.eye(3))
-                + control * fem._psi(self.centre - np.eye(3) - strain)
-                + damping * fem._psi(self.centre - before)
-            )
-        )
+        rest = self.centre - np.eye(3)
+        self.constant = fem._energy(rest) + control * fem._energy(rest - strain)
+        self.constant += damping * fem._energy(self.centre - before)
         self.centroids, self.areas = fem._drag_terms(x1)
         medium = fem.body.medium
         size = np.linalg.norm(self.areas, axis=1)
         self.normal = 0.5 * medium.density * medium.drag_normal / size**2
         self.tangent = 0.5 * medium.density * medium.drag_tangential * size
 
-    def evaluate(self, x: np.ndarray, derivatives: bool):
-        """Return energy (J), gradient (n, 3) and Hessian (3n, 3n); the last None if not wanted."""
+    def evaluate(self, x: np.ndarray) -> _Point:
+        """Return energy (J) and gradient (n, 3) at x (n, 3), and what the Hessian needs."""
         fem = self.fem
         offset = x - self.guess
         energy = 0.5 * float(self.mass @ (offset**2).sum(1)) + self.constant
@@ -242,61 +216,41 @@ class _Step:
         if fem.drag:
             energy -= float(fem._lift @ x[:, 2])
             gradient[:, 2] -= fem._lift
-
-        rotation, s = polar(fem.deformation(x))
-        strain = s - self.centre
-        energy += self.weight * float(fem.volumes @ fem._psi(strain))
-        trace = np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-        stress = 2.0 * fem.mu * strain + fem.lam * trace
-        # S also changes because R turns with F; zero if S and the centre have the same axes
-        spin = np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3) - s
-        spin = np.linalg.inv(_away_from_zero(spin))
-        torque = np.einsum("eij,ej->ei", spin, _axial(stress @ s))
-        local = self.weight * fem.volumes[:, None, None] * (stress - _cross_matrix(torque))
-        force = np.einsum("eij,eaj->eai", rotation @ local, fem.gradients, optimize=True)
-        for i in range(3):
-            gradient[:, i] += np.bincount(
-                fem.body.tetrahedra.ravel(), force[:, :, i].ravel(), minlength=len(x)
-            )
+        elastic = respond(fem.deformation(x), self.centre, fem.mu, fem.lam)
+        energy += self.weight * float(fem.volumes @ elastic.energy)
+        stress = (self.weight * fem.volumes)[:, None, None] * elastic.stress
+        _scatter(gradient, fem.body.tetrahedra, fem.gradients @ stress.transpose(0, 2, 1))
         drag_hessian = None
         if fem.drag:
-            drag_energy, drag_force, drag_hessian = self._drag(x)
+            drag_energy, force, drag_hessian = self._drag(x)
             energy += drag_energy
-            for i in range(3):
-                gradient[:, i] += np.bincount(
-                    fem.faces.ravel(), np.repeat(drag_force[:, i], 3), minlength=len(x)
-                )
-        if not derivatives:
-            return energy, gradient, None
-        return energy, gradient, self._hessian(rotation, strain, spin, drag_hessian)
+            _scatter(gradient, fem.faces, np.repeat(force[:, None], 3, axis=1))
+        return _Point(energy, gradient, elastic, drag_hessian)
 
-    def _hessian(
-        self,
-        rotation: np.ndarray,
-        strain: np.ndarray,
-        spin: np.ndarray,
-        drag: np.ndarray | None,
-    ) -> sp.csc_matrix:
-        """Assemble: warped stiffness, the rotations' own stiffness where positive, drag, mass."""
+    def direction(self, point: _Point) -> tuple[np.ndarray, float]:
+        """Return the Newton step (n, 3) and its slope; always downhill."""
+        for definite in (False, True):
+            factor = sla.splu(self.hessian(point, definite), **SYMMETRIC)
+            move = -factor.solve(point.gradient.ravel()).reshape(-1, 3)
+            slope = float((move * point.gradient).sum())
+            if slope < 0.0 and (definite or factor.U.diagonal().min() > 0.0):
+                break
+        return move, slope
+
+    def hessian(self, point: _Point, definite: bool = False) -> sp.csc_matrix:
+        """Assemble the Hessian (3n, 3n): exact, or with the elastic part made definite."""
         fem = self.fem
-        trace = np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-        held = fem.lam * trace - 2.0 * fem.mu * self.centre
-        whole = np.trace(held, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-        turning = 0.5 * (whole - held) @ spin
-        turning = fem.mu * np.eye(3) + 0.5 * (turning + turning.transpose(0, 2, 1))
-        values, axes = np.linalg.eigh(turning)
-        root = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-        twist = np.einsum("eaij,eik->eajk", fem._twist, root, optimize=True).reshape(-1, 12, 3)
-        element = fem.stiffness.reshape(-1, 12, 12) + twist @ twist.transpose(0, 2, 1)
-        element = element.reshape(-1, 4, 3, 4, 3).transpose(0, 1, 3, 2, 4)
-        turned = (
-            rotation[:, None, None] @ element @ rotation[:, None, None].transpose(0, 1, 2, 4, 3)
-        )
-        entries = self.weight * turned.transpose(0, 1, 3, 2, 4).ravel()
-        if drag is None:
+        tangent = (self.weight * fem.volumes)[:, None, None] * point.elastic.tangent(definite)
+        # R^T dF from the corners' moves: entry (i j) takes component k of corner a by R_ki g_aj
+        rotation = point.elastic.rotation.transpose(0, 2, 1)
+        map_ = rotation[:, :, None, None, :] * fem.gradients.transpose(0, 2, 1)[:, None, :, :, None]
+        map_ = map_.reshape(-1, 9, 12)
+        entries = (map_.transpose(0, 2, 1) @ (tangent @ map_)).ravel()
+        if point.drag is None:
             surface = np.zeros(81 * len(fem.faces))
         else:
-            surface = np.broadcast_to(drag[:, None, :, None, :], (len(drag), 3, 3, 3, 3)).ravel()
+            blocks = point.drag[:, None, :, None, :]
+            surface = np.broadcast_to(blocks, (len(fem.faces), 3, 3, 3, 3)).ravel()
         data = np.bincount(
             fem._place, np.concatenate([entries, surface]), minlength=len(fem._indices)
         )
@@ -320,8 +274,7 @@ class _Step:
         return float(energy), force / 3.0, hessian / (9.0 * self.h)
 
 
-def _away_from_zero(spin: np.ndarray) -> np.ndarray:
-    """Keep tr(S) I - S invertible: it is singular only where a tetrahedron is turned inside out."""
-    values, axes = np.linalg.eigh(spin)
-    values = np.maximum(values, 0.05)
-    return (axes * values[:, None, :]) @ axes.transpose(0, 2, 1)
+def _scatter(out: np.ndarray, cells: np.ndarray, values: np.ndarray) -> None:
+    """Add values (c, corners, 3) to rows `cells` (c, corners) of out (n, 3)."""
+    for i in range(3):
+        out[:, i] += np.bincount(cells.ravel(), values[:, :, i].ravel(), minlength=len(out))
