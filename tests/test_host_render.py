@@ -39,7 +39,7 @@ def test_frames_show_the_fish_move(states):
 
 
 @pytest.mark.usefixtures("rendering")
-@pytest.mark.parametrize("camera", ["chase", "top", "map"])
+@pytest.mark.parametrize("camera", ["chase", "top", "map", "overview"])
 def test_cameras_see_fish_and_obstacles(states, camera):
     scene = samples.scene([(1.2, 0.9, 0.4)], target=(2.5, 0.0, 0.0))
     [frame] = render_states(samples.fish(), states[:1], scene, size=SIZE, camera=camera)
@@ -72,7 +72,7 @@ def test_mujocos_own_renderer_and_dm_control_draw_the_fish():
 
 
 def test_unknown_camera_names_those_there_are(states):
-    with pytest.raises(DefplanError, match="no camera front: there are chase, side, top, map"):
+    with pytest.raises(DefplanError, match="no camera front: there are chase, side, top, map, overview"):
         render_states(samples.fish(), states, camera="front")
 
 

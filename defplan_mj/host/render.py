@@ -20,8 +20,10 @@ from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.planning.scenes import Scene
 
-MAP = "map"  # the camera that sees the whole way from above
-TRAIL_RGBA = np.array([0.95, 0.98, 1.0, 0.8], np.float32)
+MAP = "map"  # sees the whole way from straight above, to scale
+OVERVIEW = "overview"  # sees the whole way from behind and above
+TRAIL_RGBA = np.array([0.95, 0.98, 1.0, 1.0], np.float32)
+_TRAIL_RADIUS = {MAP: 0.06, OVERVIEW: 0.03}  # m
 _BACKENDS = ("egl", "osmesa", "glfw")
 
 
@@ -105,7 +107,8 @@ def render_states(
             the way to it; None returns the frames.
         size: width, height in pixels.
         fps: frames a second of simulated time.
-        camera: 'chase', 'side', 'top' (all follow the body), or 'map': the whole way from above.
+        camera: 'chase', 'side', 'top' follow the body; 'map' sees the whole way from straight above,
+            to scale; 'overview' from behind and above.
         timestep: s.
         trail: draw the way of the centre of mass.
 
@@ -158,7 +161,7 @@ def _frames(
             mujoco.mj_comPos(model, data)
             mujoco.mj_camlight(model, data)
             way = states[: index + 1, :3] if trail else None
-            yield offscreen.picture(data, view, way, 0.06 if camera == MAP else 0.012)
+            yield offscreen.picture(data, view, way, _TRAIL_RADIUS.get(camera, 0.012))
 
 
 def _camera(
@@ -166,10 +169,10 @@ def _camera(
 ) -> mujoco.MjvCamera:
     """Return a camera of the model, or one above that sees the way, the target, the obstacles."""
     camera = mujoco.MjvCamera()
-    if name != MAP:
+    if name not in (MAP, OVERVIEW):
         identity = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
         if identity < 0:
-            names = ", ".join([*(model.camera(i).name for i in range(model.ncam)), MAP])
+            names = ", ".join([*(model.camera(i).name for i in range(model.ncam)), MAP, OVERVIEW])
             raise DefplanError(f"there is no camera {name}: there are {names}")
         camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         camera.fixedcamid = identity
@@ -188,6 +191,10 @@ def _camera(
     low, high = (spread - margin).min(0), (spread + margin).max(0)
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat = [*(0.5 * (low + high) @ axes), 0.0]
+    if name == OVERVIEW:
+        camera.azimuth, camera.elevation = np.degrees(bearing) + 20, -52.0
+        camera.distance = 1.1 * float(high[0] - low[0])
+        return camera
     camera.azimuth, camera.elevation, camera.distance = 90 + np.degrees(bearing), -90.0, 30.0
     camera.orthographic = model.vis.global_.orthographic = 1
     model.vis.global_.fovy = float(max(high[1] - low[1], (high[0] - low[0]) * height_to_width))

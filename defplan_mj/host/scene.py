@@ -132,12 +132,13 @@ def _add_robot(spec: mujoco.MjSpec, body: Body, timestep: float, normalised: boo
     length = body.length
     track = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
     views = {
-        "chase": ([-1.25, -1.75, 1.0], [0.814, -0.581, 0, 0.246, 0.345, 0.906]),
-        "side": ([0, -1.9, 0.35], [1, 0, 0, 0, 0.18, 0.98]),
-        "top": ([0, 0, 4], [1, 0, 0, 0, 1, 0]),
+        "chase": ([-1.25, -1.75, 1.0], [0.814, -0.581, 0, 0.246, 0.345, 0.906], 45),
+        "side": ([0, -1.9, 0.35], [1, 0, 0, 0, 0.18, 0.98], 45),
+        "top": ([0, 0, 14], [1, 0, 0, 0, 1, 0], 16),  # from afar: obstacles are tall
     }
-    for name, (place, axes) in views.items():
-        robot.add_camera(name=name, mode=track, pos=length * np.array(place), xyaxes=axes)
+    for name, (place, axes, angle) in views.items():
+        place = length * np.array(place)
+        robot.add_camera(name=name, mode=track, pos=place, xyaxes=axes, fovy=angle)
     # above the robot wherever it goes, so that the shadow map need not cover the whole world
     robot.add_light(
         name="sun",
