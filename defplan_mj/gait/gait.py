@@ -12,7 +12,9 @@ from defplan_mj import files
 FORMAT_VERSION = 1
 
 
-def dmp(alpha: np.ndarray, beta: np.ndarray, mu: np.ndarray, tau: float, time: np.ndarray) -> np.ndarray:
+def dmp(
+    alpha: np.ndarray, beta: np.ndarray, mu: np.ndarray, tau: float, time: np.ndarray
+) -> np.ndarray:
     """Return sum_k alpha_k exp(beta_k cos(tau t - mu_k)), the paper's rhythmic DMP.
 
     Args:

@@ -1,0 +1,246 @@
+"""The paper's gait optimisation (Eq. 1) as CasADi expressions that any gait solver can take.
+
+A gait is judged while its tasks are switched, as it will be used: a trajectory is a sequence of
+cycles, each of one task, and E_obj adds up over its cycles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from defplan_mj.dynamics.external import CasadiDynamics
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.gait.gait import Gait
+from defplan_mj.task import GaitTask
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of E_obj, per cycle.
+
+    Attributes:
+        yaw: of the squared error of a cycle's yaw, 1/rad^2.
+        speed: of the squared shortfall of its advance, 1/m^2.
+        tilt: of the mean squared tilt, 1/rad^2.
+        upright: of the mean squared excess of the squared tilt over (15 degrees)^2, 1/rad^4.
+        sink: of the squared change of depth, 1/m^2.
+        sharpness: of the mean squared beta.
+    """
+
+    yaw: float = 2.0
+    speed: float = 6.0
+    tilt: float = 1.0
+    upright: float = 10.0
+    sink: float = 1.0
+    sharpness: float = 1e-3
+
+
+class GaitProblem:
+    """Eq. 1 for one body: the dynamics, the tasks and the objective, in CasADi.
+
+    The unknown w holds mu (D, r), then alpha and beta (K, D, r), row-major; tau is fixed by the
+    number of steps in a cycle.
+
+    Attributes:
+        dynamics: the reduced dynamics f.
+        tasks: the K gait tasks.
+        steps_per_cycle: steps in a cycle.
+        elements: D.
+        cycles: cycles in a trajectory (N_1 over the steps of a cycle).
+        weights: of E_obj.
+    """
+
+    def __init__(
+        self,
+        dynamics: ReducedDynamics,
+        tasks: Sequence[GaitTask],
+        steps_per_cycle: int,
+        gait_steps: int = 200,
+        elements: int = 5,
+        weights: Weights = Weights(),
+    ):
+        self.dynamics = dynamics
+        self.tasks = tuple(tasks)
+        self.steps_per_cycle = steps_per_cycle
+        self.elements = elements
+        self.cycles = max(1, gait_steps // steps_per_cycle)
+        self.weights = weights
+
+    @property
+    def n_tasks(self) -> int:
+        """K, the number of tasks."""
+        return len(self.tasks)
+
+    @property
+    def n_phases(self) -> int:
+        """Number of entries of mu in w."""
+        return self.elements * self.dynamics.nu
+
+    @property
+    def n_w(self) -> int:
+        """Number of unknowns."""
+        return self.n_phases * (1 + 2 * self.n_tasks)
+
+    @cached_property
+    def casadi_dynamics(self) -> CasadiDynamics:
+        """The reduced dynamics as CasADi functions."""
+        return CasadiDynamics(self.dynamics)
+
+    def alone(self, task: int) -> GaitProblem:
+        """Return the problem of one task only."""
+        steps = self.cycles * self.steps_per_cycle
+        return GaitProblem(
+            *(self.dynamics, [self.tasks[task]], self.steps_per_cycle, steps),
+            *(self.elements, self.weights),
+        )
+
+    # --- the DMP
+
+    def split(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return mu (D, r), alpha and beta (K, D, r) of w."""
+        d, r, k = self.elements, self.dynamics.nu, self.n_tasks
+        mu, alpha, beta = np.split(np.asarray(w, float), [d * r, d * r * (1 + k)])
+        return mu.reshape(d, r), alpha.reshape(k, d, r), beta.reshape(k, d, r)
+
+    def join(self, mu: np.ndarray, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        """Return w of mu (D, r), alpha and beta (K, D, r)."""
+        return np.concatenate([mu.ravel(), alpha.ravel(), beta.ravel()])
+
+    @cached_property
+    def dmp(self) -> ca.Function:
+        """w -> target shapes (r, K n): the DMP of each task over one cycle, task after task."""
+        d, r, k, n = self.elements, self.dynamics.nu, self.n_tasks, self.steps_per_cycle
+        mu, alpha, beta = (ca.SX.sym(s, r, d) for s in ("mu", "alpha", "beta"))
+        phase = 2 * np.pi * np.arange(1, n + 1) / n
+        columns = [ca.sum2(alpha * ca.exp(beta * ca.cos(p - mu))) for p in phase]
+        one = ca.Function("dmp", [mu, alpha, beta], [ca.horzcat(*columns)])
+        w = ca.MX.sym("w", self.n_w)
+        blocks = [ca.reshape(b, r, d) for b in ca.vertsplit(w, d * r)]
+        shapes = [one(blocks[0], blocks[1 + j], blocks[1 + k + j]) for j in range(k)]
+        return ca.Function("dmp", [w], [ca.horzcat(*shapes)], ["w"], ["shapes"])
+
+    # --- E_obj
+
+    @cached_property
+    def cycle_cost(self) -> ca.Function:
+        """(x_start: nx, x: nx x n, yaw, speed) -> cost of one cycle, a term of E_obj."""
+        n, nx, weights = self.steps_per_cycle, self.dynamics.nx, self.weights
+        start, x = ca.SX.sym("x_start", nx), ca.SX.sym("x", nx, n)
+        yaw, speed = ca.SX.sym("yaw"), ca.SX.sym("speed")
+        forward, end = _forward(start), _forward(x[:, -1])
+        turn = ca.atan2(
+            forward[0] * end[1] - forward[1] * end[0], forward[0] * end[0] + forward[1] * end[1]
+        )
+        move = x[:3, -1] - start[:3]
+        heading = forward[:2] / ca.sqrt(ca.sumsqr(forward[:2]) + 1e-12)
+        shortfall = ca.fmax(0, speed - ca.dot(heading, move[:2]))
+        # squared tilt 2 (1 - R_zz), to second order
+        tilts = [4 * ca.sumsqr(x[4:6, i]) for i in range(n)]
+        tilt = sum(tilts) / n
+        lean = sum(ca.fmax(0, t - np.radians(15) ** 2) ** 2 for t in tilts) / n
+        cost = (
+            weights.yaw * (turn - yaw) ** 2
+            + weights.speed * shortfall**2
+            + weights.tilt * tilt
+            + weights.upright * lean
+            + weights.sink * move[2] ** 2
+        )
+        return ca.Function("cycle_cost", [start, x, yaw, speed], [cost])
+
+    def trajectory_cost(self, sequence: Sequence[int], settle: int = 1) -> ca.Function:
+        """Return (x0: nx, x: nx x (n cycles)) -> mean cost of the cycles after the first `settle`.
+
+        Args:
+            sequence: the task of each cycle.
+            settle: cycles that are not judged: the body starts from rest.
+        """
+        n, nx, cycles = self.steps_per_cycle, self.dynamics.nx, len(sequence)
+        x0, x = ca.MX.sym("x0", nx), ca.MX.sym("x", nx, n * cycles)
+        starts = ca.horzcat(x0, x[:, n - 1 : -1 : n])
+        yaw = ca.DM([self.tasks[j].yaw for j in sequence]).T
+        speed = ca.DM([self.tasks[j].speed for j in sequence]).T
+        costs = self.cycle_cost.map(cycles)(starts, x, yaw, speed)
+        return ca.Function(
+            "trajectory_cost", [x0, x], [ca.sum2(costs[settle:]) / (cycles - settle)]
+        )
+
+    def objective(
+        self, sequences: Sequence[Sequence[int]], settle: int = 1, threads: int = 1
+    ) -> ca.Function:
+        """Return w -> E_obj + regularisation, by rollouts from rest.
+
+        With the rollout in it, E_phys and E_dmp of Eq. 1 are zero by construction (single
+        shooting); its derivatives are the kernel's exact adjoint.
+
+        Args:
+            sequences: the task of each cycle, one list a trajectory; all of one length.
+            settle: see `trajectory_cost`.
+            threads: rollouts in parallel.
+        """
+        n = self.steps_per_cycle
+        w = ca.MX.sym("w", self.n_w)
+        shapes = self.dmp(w)
+        cycles = ca.horzsplit(shapes, n)
+        u = ca.horzcat(*(cycles[j] for sequence in sequences for j in sequence))
+        steps, count = n * len(sequences[0]), len(sequences)
+        x0 = ca.repmat(ca.DM(self.dynamics.rest_state()), 1, count)
+        x = self.casadi_dynamics.rollouts(steps, count, threads)(x0, u)
+        cost = 0
+        for i, sequence in enumerate(sequences):
+            cost += self.trajectory_cost(sequence, settle)(
+                x0[:, i], x[:, i * steps : (i + 1) * steps]
+            )
+        beta = w[self.n_phases * (1 + self.n_tasks) :]
+        total = cost / count + self.weights.sharpness * ca.sumsqr(beta) / beta.numel()
+        return ca.Function("objective", [w], [total], ["w"], ["cost"])
+
+    def switching_sequences(
+        self, rng: np.random.Generator, count: int | None = None
+    ) -> list[list[int]]:
+        """Return `count` (default K) task sequences of a trajectory's length, every transition as often."""
+        count = count or self.n_tasks
+        return [balanced_sequence(self.n_tasks, self.cycles, rng) for _ in range(count)]
+
+    # --- results
+
+    def gait(self, w: np.ndarray, meta: dict) -> Gait:
+        """Return the Gait of w."""
+        mu, alpha, beta = self.split(w)
+        return Gait(
+            body_hash=self.dynamics.body.hash,
+            task_names=tuple(task.name for task in self.tasks),
+            timestep=self.dynamics.timestep,
+            steps_per_cycle=self.steps_per_cycle,
+            alpha=alpha,
+            beta=beta,
+            mu=mu,
+            amplitude=self.dynamics.body.amplitude,
+            meta=meta,
+        )
+
+    def w_of(self, gait: Gait) -> np.ndarray:
+        """Return the unknowns of a Gait of this problem."""
+        return self.join(gait.mu, gait.alpha, gait.beta)
+
+
+def _forward(x: ca.SX) -> ca.SX:
+    """The body's x axis in the world, from the state's quaternion."""
+    w, a, b, c = (x[3 + i] for i in range(4))
+    return ca.vertcat(1 - 2 * (b * b + c * c), 2 * (a * b + w * c), 2 * (a * c - w * b))
+
+
+def balanced_sequence(n_tasks: int, length: int, rng: np.random.Generator) -> list[int]:
+    """Return a random walk over the tasks that uses every transition about equally often."""
+    used = np.zeros((n_tasks, n_tasks))
+    sequence = [int(rng.integers(n_tasks))]
+    while len(sequence) < length:
+        here = sequence[-1]
+        rare = np.flatnonzero(used[here] == used[here].min())
+        sequence.append(int(rng.choice(rare)))
+        used[here, sequence[-1]] += 1
+    return sequence

@@ -1,0 +1,222 @@
+"""Gait solver `shooting`: CasADi's ipopt over w_dmp through the exact adjoint of the rollout.
+
+The straight task alone from a random start, then all tasks while they are switched; a few such
+starts, of which the best is finished.
+Target shapes are bounded by the body's amplitude as constraints, not by clipping.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from defplan_mj.body.model import Body
+from defplan_mj.gait.gait import Gait
+from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.task import Progress, no_progress
+
+IPOPT = {
+    "hessian_approximation": "limited-memory",
+    "limited_memory_max_history": 20,
+    "mu_strategy": "adaptive",
+    "tol": 1e-3,
+    "acceptable_iter": 0,
+    "print_level": 0,
+    "sb": "yes",
+}
+
+
+@dataclass(frozen=True)
+class Shooting:
+    """Single shooting.
+
+    Attributes:
+        starts: random starts.
+        start_cycles: cycles of the straight task's trajectory.
+        start_iterations: limit of ipopt for the straight task.
+        trial_iterations: limit for all tasks, from each start; the best start goes on.
+        iterations: limit for all tasks, from the best start.
+        bound: of alpha and beta.
+        threads: rollouts in parallel.
+    """
+
+    kind: str = "gait"
+    name: str = "shooting"
+    summary: str = "single shooting through the exact adjoint, with CasADi and ipopt (the default)"
+    starts: int = 3
+    start_cycles: int = 6
+    start_iterations: int = 50
+    trial_iterations: int = 40
+    iterations: int = 200
+    bound: float = 4.0
+    threads: int = 2
+
+    def solve(self, problem: GaitProblem, seed: int = 0, progress: Progress = no_progress) -> Gait:
+        """Return the gait of `problem`; a seed gives one result.
+
+        The meta data hold `seconds`, `objective` (mean cost of a cycle while switching), `history`
+        (objective of each iteration) and `stages`.
+        """
+        began = time.perf_counter()
+        rng = np.random.default_rng(seed)
+        cost = problem.objective(problem.switching_sequences(rng), settle=1, threads=self.threads)
+        per_start = self.start_iterations + self.trial_iterations
+        total = self.starts * per_start + self.iterations
+        stages, trials = [], []
+        for start in range(self.starts):
+            trace = _Trace("gait: trying starts", progress, start * per_start, total)
+            w, stage = self._start(problem, rng, trace)
+            stages.append(stage | {"stage": f"start {start + 1}, straight task"})
+            w, stage = self._minimise(problem, cost, w, self.trial_iterations, trace)
+            stages.append(stage | {"stage": f"start {start + 1}, all tasks"})
+            trials.append((stage["objective"], w, trace.objective[-stage["iterations"] :]))
+        _, w, history = min(trials, key=lambda trial: trial[0])
+        trace = _Trace("gait: all tasks", progress, self.starts * per_start, total)
+        w, stage = self._minimise(problem, cost, w, self.iterations, trace)
+        stages.append(stage | {"stage": "best start, all tasks"})
+        meta = {
+            "solver": self.name,
+            "seed": seed,
+            "seconds": time.perf_counter() - began,
+            "objective": stage["objective"],
+            "history": [*history, *trace.objective],
+            "stages": stages,
+        }
+        return problem.gait(w, meta)
+
+    def _start(
+        self, problem: GaitProblem, rng: np.random.Generator, trace: _Trace
+    ) -> tuple[np.ndarray, dict]:
+        """Optimise the straight task alone from a random start, and spread it to all tasks."""
+        d, r = problem.elements, problem.dynamics.nu
+        task = min(range(problem.n_tasks), key=lambda j: abs(problem.tasks[j].yaw))
+        alone = problem.alone(task)
+        share = 0.05 + 0.95 * lateral_share(problem.dynamics.body)
+        mu = rng.uniform(0, 2 * np.pi, (d, r))
+        alpha = 0.3 * share * rng.normal(size=(1, d, r))
+        beta = 1 + 0.3 * rng.normal(size=(1, d, r))
+        cost = alone.objective([[0] * self.start_cycles], settle=2)
+        w0 = alone.join(mu, alpha, beta)
+        w, stage = self._minimise(alone, cost, w0, self.start_iterations, trace)
+        mu, alpha, beta = alone.split(w)
+        return self._spread(problem, task, mu, alpha[0], beta[0]), stage
+
+    def _spread(
+        self,
+        problem: GaitProblem,
+        straight: int,
+        mu: np.ndarray,
+        alpha: np.ndarray,
+        beta: np.ndarray,
+    ) -> np.ndarray:
+        """Start all tasks from the straight one; a turning task with the bend that suits it best.
+
+        The last DMP element becomes a constant bend (beta = 0) of one mode; which one, and how
+        much, is tried out.
+        """
+        all_alpha = np.repeat(alpha[None], problem.n_tasks, 0)
+        all_beta = np.repeat(beta[None], problem.n_tasks, 0)
+        for j in range(problem.n_tasks):
+            if j == straight:
+                continue
+            alone = problem.alone(j)
+            cost = alone.objective([[0] * self.start_cycles], settle=2)
+            best = np.inf
+            for mode in range(problem.dynamics.nu):
+                for bend in 0.5 * np.array([-1, -0.6, -0.3, 0.3, 0.6, 1]):
+                    a, b = alpha.copy(), beta.copy()
+                    a[-1, mode] += bend * problem.dynamics.body.amplitude[mode]
+                    b[-1] = 0
+                    try:
+                        value = float(cost(alone.join(mu, a[None], b[None])))
+                    except RuntimeError:  # a step of this start did not converge: not a start
+                        continue
+                    if value < best:
+                        best, all_alpha[j], all_beta[j] = value, a, b
+        return problem.join(mu, all_alpha, all_beta)
+
+    def _minimise(
+        self,
+        problem: GaitProblem,
+        cost: ca.Function,
+        w0: np.ndarray,
+        iterations: int,
+        trace: _Trace,
+    ) -> tuple[np.ndarray, dict]:
+        """Run ipopt; return w and what the stage was."""
+        w = ca.MX.sym("w", problem.n_w)
+        shapes = problem.dmp(w)
+        amplitude = np.tile(problem.dynamics.body.amplitude, shapes.shape[1])
+        options = {f"ipopt.{key}": value for key, value in IPOPT.items()}
+        options |= {
+            "ipopt.max_iter": iterations,
+            "print_time": False,
+            "iteration_callback": trace,
+            "show_eval_warnings": False,
+        }
+        solver = ca.nlpsol("gait", "ipopt", {"x": w, "f": cost(w), "g": ca.vec(shapes)}, options)
+        free, half = np.full(problem.n_phases, np.inf), problem.n_w - problem.n_phases
+        bound = np.concatenate([free, np.full(half, self.bound)])
+        began = time.perf_counter()
+        result = solver(x0=w0, lbx=-bound, ubx=bound, lbg=-amplitude, ubg=amplitude)
+        stats = solver.stats()
+        return np.array(result["x"]).ravel(), {
+            "objective": float(result["f"]),
+            "iterations": int(stats["iter_count"]),
+            "evaluations": int(stats["n_call_nlp_f"]),
+            "status": stats["return_status"],
+            "seconds": time.perf_counter() - began,
+        }
+
+
+class _Trace(ca.Callback):
+    """Called by ipopt after each iteration: keeps the objective, shows progress."""
+
+    def __init__(self, message: str, progress: Progress, done: int, total: int):
+        super().__init__()
+        self.message, self.progress, self.done, self.total = message, progress, done, total
+        self.objective: list[float] = []
+        self.construct("trace", {})
+
+    def get_n_in(self) -> int:
+        return ca.nlpsol_n_out()
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return ca.nlpsol_out(i)
+
+    def get_name_out(self, i: int) -> str:
+        return "stop"
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(1) if ca.nlpsol_out(i) == "f" else ca.Sparsity(0, 0)
+
+    def eval(self, arg: list) -> list:
+        self.objective.append(float(arg[ca.nlpsol_out().index("f")]))
+        self.progress(self.message, min(1.0, (self.done + len(self.objective)) / self.total))
+        return [0]
+
+
+def lateral_share(body: Body, sections: int = 24) -> np.ndarray:
+    """Return (r,) how much of each mode bends the body sideways as a whole, 0 to 1.
+
+    The share of the mode's kinetic energy in the lateral motion of its cross-sections' means;
+    a swimmer's gait starts in these modes, torsion and vertical bending stay small.
+    """
+    x, mass = body.vertices[:, 0], body.vertex_mass
+    edges = np.linspace(x.min(), x.max(), sections + 1)[1:-1]
+    section = np.digitize(x, edges)
+    weight = np.bincount(section, mass, sections)
+    shares = []
+    for mode in body.modes.transpose(2, 0, 1):
+        mean = np.bincount(section, mass * mode[:, 1], sections) / np.maximum(weight, 1e-300)
+        shares.append((weight * mean**2).sum() / (mass[:, None] * mode**2).sum())
+    return np.array(shares)
+
+
+SOLVER = Shooting()
