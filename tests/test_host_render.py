@@ -72,7 +72,9 @@ def test_mujocos_own_renderer_and_dm_control_draw_the_fish():
 
 
 def test_unknown_camera_names_those_there_are(states):
-    with pytest.raises(DefplanError, match="no camera front: there are chase, side, top, map, overview"):
+    with pytest.raises(
+        DefplanError, match="no camera front: there are chase, side, top, map, overview"
+    ):
         render_states(samples.fish(), states, camera="front")
 
 
