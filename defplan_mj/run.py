@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from defplan_mj import files, registry
+from defplan_mj import files, registry, threads
 from defplan_mj.store import RunFolder, file_hash, read_config
 from defplan_mj.task import Progress, TaskSpec, no_progress
 
@@ -156,7 +156,8 @@ class Run:
             problem = GaitProblem(
                 self.dynamics, spec.gait_tasks, spec.steps_per_cycle, spec.gait_steps
             )
-            gait = solver.solve(problem, self.options.seed, self._stage("gait"))
+            progress = self._stage("gait")
+            gait = threads.interruptible(lambda: solver.solve(problem, self.options.seed, progress))
             gait.save(path)
             measured = evaluate_switching(self.dynamics, gait, SWITCHING_CYCLES, self.options.seed)
             write_json(switching, {"gait": measured.to_json()})

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
+from collections.abc import Callable
+from typing import TypeVar
+
+_Result = TypeVar("_Result")
 
 VARIABLES = (
     "OMP_NUM_THREADS",
@@ -43,3 +48,39 @@ def available_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+_abandoned: list[threading.Thread] = []
+
+
+def interruptible(work: Callable[[], _Result]) -> _Result:
+    """Return `work()`, done in a thread of its own, so that Ctrl-C is heard at once.
+
+    CasADi swallows a KeyboardInterrupt that comes while one of its solvers runs. Here the main
+    thread only waits; when it is interrupted, the other one is left behind (see `abandoned`).
+    """
+    result: list[_Result] = []
+    failure: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            result.append(work())
+        except BaseException as error:
+            failure.append(error)
+
+    worker = threading.Thread(target=run, daemon=True)
+    try:
+        worker.start()
+        while worker.is_alive():
+            worker.join(0.1)  # a wait without an end would not hear signals on every system
+    except BaseException:
+        _abandoned.append(worker)
+        raise
+    if failure:
+        raise failure[0]
+    return result[0]
+
+
+def abandoned() -> bool:
+    """Return whether work goes on that nobody waits for: the process must not wait for it either."""
+    return any(worker.is_alive() for worker in _abandoned)

@@ -51,6 +51,9 @@ def _report(error: BaseException) -> int:
     """Say `error` in one sentence on stderr; return the exit code."""
     if isinstance(error, KeyboardInterrupt):
         _say("stopped; run it again to go on")
+        if threads.abandoned():
+            # a solver still computes in C++: Python would crash when it takes the ground from under it
+            os._exit(STOPPED)
         return STOPPED
     if isinstance(error, BrokenPipeError):  # the reader, e.g. `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
