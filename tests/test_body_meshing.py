@@ -10,7 +10,7 @@ from body_meshes import FISH, bar, pill, surface_of
 from defplan_mj.body import lattice
 from defplan_mj.body.fitting import closest_on_triangles, spread_points
 from defplan_mj.body.meshing import fill, stuff
-from defplan_mj.body.surface import load_mesh
+from defplan_mj.body.surface import Surface, load_mesh
 from defplan_mj.body.tetmesh import (
     TetMesh,
     boundary,
@@ -41,6 +41,7 @@ def test_count_is_met_within_two_and_no_tetrahedron_is_flat(wanted):
 
 def test_fish_has_2118_vertices_and_keeps_its_thin_fins():
     surface = load_mesh(FISH, 1.0)
+    assert isinstance(surface, Surface)
     mesh, _ = fill(surface, 2118)
     assert abs(len(mesh.vertices) - 2118) <= 2
     shape = quality(mesh.vertices, mesh.tetrahedra)
@@ -62,6 +63,7 @@ def _volume_behind(mesh: trimesh.Trimesh, place: float) -> float:
     areas = []
     for x in heights:
         section = mesh.section([1, 0, 0], [x, 0, 0])
+        assert section is not None
         # each closed loop's area by the shoelace formula; loops here do not nest
         areas.append(
             sum(

@@ -47,6 +47,7 @@ def test_the_other_order_of_corners_is_turned(tmp_path):
     path = tmp_path / "bar.vtu"
     meshio.write(path, meshio.Mesh(mesh.vertices, [("tetra", mesh.tetrahedra[:, [0, 2, 1, 3]])]))
     loaded = load_mesh(path)
+    assert isinstance(loaded, TetMesh)
     assert volumes(loaded.vertices, loaded.tetrahedra).min() > 0.0
 
 

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from defplan_mj.body.drag import drag_patches
 from defplan_mj.body.elasticity import linear_modes
@@ -81,12 +82,19 @@ def build_body(
     """
     options = options or BodyOptions()
     check_options(options)
+    # one thread: sums in another order would give other bits, and the hash another gait's body
+    with threadpool_limits(limits=1):
+        return _build(Path(mesh_path), options, progress, name or Path(mesh_path).stem)
+
+
+def _build(path: Path, options: BodyOptions, progress: Progress, name: str) -> Body:
+    """Do the work of `build_body`."""
     progress("reading the mesh", 0.0)
-    loaded = load_mesh(mesh_path, options.length)
-    source: dict = {"mesh": Path(mesh_path).name, "options": asdict(options)}
+    loaded = load_mesh(path, options.length)
+    source: dict = {"mesh": path.name, "options": asdict(options)}
     if isinstance(loaded, Surface):
         progress("filling it with tetrahedra", 0.05)
-        mesh, cell = fill(loaded, options.vertices, str(mesh_path))
+        mesh, cell = fill(loaded, options.vertices, str(path))
         source["cell"] = cell.tolist()
         source["volume_error"] = float(
             volumes(mesh.vertices, mesh.tetrahedra).sum() / loaded.volume - 1
@@ -112,7 +120,7 @@ def build_body(
     patches = drag_patches(mesh, shapes, modes, options.patches)
     faces, _ = boundary(mesh.tetrahedra)
     body = Body(
-        name=name or Path(mesh_path).stem,
+        name=name,
         material=options.material,
         medium=options.medium,
         vertices=mesh.vertices,
