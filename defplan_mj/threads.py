@@ -50,7 +50,7 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-_abandoned: list[threading.Thread] = []
+_abandoned: list[threading.Event] = []  # not the threads: a `join` that is interrupted calls them dead
 
 
 def interruptible(work: Callable[[], _Result]) -> _Result:
@@ -67,14 +67,16 @@ def interruptible(work: Callable[[], _Result]) -> _Result:
             result.append(work())
         except BaseException as error:
             failure.append(error)
+        finally:
+            done.set()
 
-    worker = threading.Thread(target=run, daemon=True)
+    done = threading.Event()
     try:
-        worker.start()
-        while worker.is_alive():
-            worker.join(0.1)  # a wait without an end would not hear signals on every system
+        threading.Thread(target=run, daemon=True).start()
+        while not done.wait(0.1):
+            pass
     except BaseException:
-        _abandoned.append(worker)
+        _abandoned.append(done)
         raise
     if failure:
         raise failure[0]
@@ -83,4 +85,4 @@ def interruptible(work: Callable[[], _Result]) -> _Result:
 
 def abandoned() -> bool:
     """Return whether work goes on that nobody waits for: the process must not wait for it either."""
-    return any(worker.is_alive() for worker in _abandoned)
+    return not all(done.is_set() for done in _abandoned)
