@@ -13,6 +13,9 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.log.poses import predict, rotation_matrix, yaw
 from defplan_mj.log.reader import EpisodeLog, read_log
 
+SETTLING = 3
+"""Cycles in which a body that starts at rest gets up to speed; the surrogate knows full speed only."""
+
 TABLE_COLUMNS = (
     "gait",
     "cycles",
@@ -75,6 +78,7 @@ class Comparison:
         episodes: the logs.
         log: (n,) index of each cycle's log.
         gait: (n,) index of its gait.
+        cycle: (n,) number of the cycle in its episode, from 0.
         start: (n,) time it began, s.
         predicted, truth: (n, 3) displacement of the centre of mass over the cycle, in the body's
             yaw frame at its start (forward, left, up), m.
@@ -85,6 +89,7 @@ class Comparison:
     episodes: tuple[Episode, ...]
     log: np.ndarray
     gait: np.ndarray
+    cycle: np.ndarray
     start: np.ndarray
     predicted: np.ndarray
     truth: np.ndarray
@@ -95,17 +100,20 @@ class Comparison:
         """(n,) distance between true and predicted position at the end of each cycle, m."""
         return np.linalg.norm(self.truth - self.predicted, axis=1)
 
-    def summary(self, gait: int | None = None) -> dict[str, Any]:
-        """Return the figures of one gait (None: of all cycles).
+    @property
+    def settled(self) -> np.ndarray:
+        """(n,) whether a cycle is not one of its episode's first, which start from rest."""
+        return self.cycle >= SETTLING
+
+    def summary(self, name: str, some: np.ndarray) -> dict[str, Any]:
+        """Return the figures of some cycles, `some` being (n,) of bool.
 
         'position' and 'heading': mean, sd (n - 1) and p95; heading's mean is signed (left is
         positive) and its p95 is of the absolute value; 'spread': root mean square distance of the
-        true displacements from their own mean, that is, what no rigid surrogate could predict.
+        true displacements from their gait's mean, that is, what no rigid surrogate could predict.
         """
-        some = np.ones(len(self.gait), bool) if gait is None else self.gait == gait
-        name = "all" if gait is None else self.task_names[gait]
-        spread = [self.truth[some & (self.gait == k)] for k in np.unique(self.gait[some])]
-        about = np.vstack([t - t.mean(0) for t in spread]) if spread else np.zeros((0, 3))
+        parts = [self.truth[some & (self.gait == k)] for k in np.unique(self.gait[some])]
+        about = np.vstack([part - part.mean(0) for part in parts]) if parts else np.zeros((0, 3))
         return {
             "name": name,
             "cycles": int(some.sum()),
@@ -115,8 +123,13 @@ class Comparison:
         }
 
     def summaries(self) -> list[dict[str, Any]]:
-        """Return `summary` of each gait that was used, then of all cycles."""
-        return [*(self.summary(k) for k in np.unique(self.gait)), self.summary()]
+        """Return `summary` of each gait that was used, of all cycles, and of all settled ones."""
+        everything = np.ones(len(self.gait), bool)
+        return [
+            *(self.summary(self.task_names[k], self.gait == k) for k in gaits_used(self)),
+            self.summary("all", everything),
+            self.summary(f"all but each first {SETTLING}", self.settled),
+        ]
 
     def table(self) -> list[list[str]]:
         """Return rows of text for `TABLE_COLUMNS`."""
@@ -243,6 +256,7 @@ def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
     predicted = _predictions(log, rows)
     angle = yaw(rotation_matrix(start[:, 3:]))
     return {
+        "cycle": rows,
         "start": log.time[log.cycle_steps[rows]],
         "predicted": _into_yaw_frame(predicted[:, :3] - start[:, :3], angle),
         "truth": _into_yaw_frame(end[:, :3] - start[:, :3], angle),

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from defplan_mj.log.compare import Comparison, gaits_used
+from defplan_mj.log.compare import SETTLING, Comparison, gaits_used
 from defplan_mj.log.plotting import FAINT, INK, PATH, SERIES, new_figure, styled
 
 Panel = Callable[[Axes, Comparison], None]
@@ -37,11 +37,24 @@ def comparison_figures(comparison: Comparison) -> list[Figure]:
 def draw_displacements(axes: Axes, comparison: Comparison) -> None:
     """Draw where the body is after each cycle, seen from its start: truth, and prediction."""
     for k in gaits_used(comparison):
-        some = comparison.gait == k
         colour, name = SERIES[k % len(SERIES)], comparison.task_names[k]
-        truth, predicted = comparison.truth[some], comparison.predicted[some].mean(0)
-        axes.scatter(-truth[:, 1], truth[:, 0], s=9, color=colour, alpha=0.45, lw=0, label=name)
+        some = comparison.gait == k
+        for which, face in ((comparison.settled, colour), (~comparison.settled, "none")):
+            truth = comparison.truth[some & which]
+            label = name if face == colour else None
+            axes.scatter(
+                -truth[:, 1],
+                truth[:, 0],
+                s=9,
+                c=face,
+                edgecolors=colour,
+                lw=0.6,
+                alpha=0.6,
+                label=label,
+            )
+        predicted = comparison.predicted[some].mean(0)
         axes.scatter(-predicted[1], predicted[0], s=70, marker="+", color=colour, lw=1.8)
+    axes.scatter([], [], s=9, c="none", edgecolors=INK, lw=0.6, label=f"first {SETTLING} cycles")
     axes.scatter([0], [0], s=24, marker="o", color=INK, zorder=3)
     axes.scatter([], [], s=50, marker="+", color=INK, label="surrogate")
     axes.set(xlabel="to the right (m)", ylabel="forward (m)", title="Displacement in one cycle")
@@ -88,7 +101,12 @@ def _draw_errors(axes: Axes, comparison: Comparison, errors: np.ndarray, label: 
     rng = np.random.default_rng(0)  # only to keep the dots apart
     for row, (k, sample) in enumerate(zip(used, samples, strict=True), 1):
         height = row + rng.uniform(-0.18, 0.18, len(sample))
-        axes.scatter(sample, height, s=9, color=SERIES[k % len(SERIES)], alpha=0.5, lw=0)
+        colour = SERIES[k % len(SERIES)]
+        settled = comparison.settled[comparison.gait == k]
+        for which, face in ((settled, colour), (~settled, "none")):
+            axes.scatter(
+                sample[which], height[which], s=9, c=face, edgecolors=colour, lw=0.6, alpha=0.5
+            )
     names = [f"{comparison.task_names[k]} ({len(s)})" for k, s in zip(used, samples, strict=True)]
     axes.set_yticks(range(1, len(used) + 1), names)
     axes.invert_yaxis()

@@ -74,11 +74,11 @@ def fit(axes: Axes, points: np.ndarray, margin: float = 0.03) -> None:
 
 
 def silhouette(axes: Axes, points: np.ndarray, faces: np.ndarray, colour: str) -> None:
-    """Fill what a closed surface covers, seen from above."""
+    """Fill what a closed surface covers, its points being (n, 2) as seen, or (n, 3) from above."""
     outline = Path.make_compound_path(
         *(Path(np.vstack([loop, loop[:1]]), closed=True) for loop in outlines(points, faces))
     )
-    axes.add_patch(PathPatch(outline, facecolor=colour, linewidth=0, zorder=3))
+    axes.add_patch(PathPatch(outline, facecolor=colour, linewidth=0, zorder=4.5))
 
 
 def outlines(points: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
@@ -87,7 +87,7 @@ def outlines(points: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
     Around a point, they wind as often as the surface covers it: filled by the nonzero rule, they
     give the silhouette.
     """
-    corners = points[faces][:, :, :2]
+    corners = points[faces, :2]
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     upward = faces[one[:, 0] * two[:, 1] > one[:, 1] * two[:, 0]]
     edges = upward[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).tolist()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,6 +15,8 @@ from defplan_mj.report.body_figures import surface_rows
 from defplan_mj.report.drawing import silhouette
 
 _SHADOW = "#9cc6cd"
+
+Place = Callable[[np.ndarray], np.ndarray]
 
 
 @styled
@@ -74,21 +76,29 @@ def draw_path(axes: Axes, path: np.ndarray) -> None:
     axes.plot(*path.T, color=PATH, lw=1.6, zorder=4)
 
 
+def flat(points: np.ndarray) -> np.ndarray:
+    """Return x and y of points (..., 3)."""
+    return points[..., :2]
+
+
 def draw_bodies(
     axes: Axes,
     dynamics: ReducedDynamics,
     states: np.ndarray,
     spacing: float,
     colour: str = _SHADOW,
+    place: Place = flat,
 ) -> None:
-    """Draw silhouettes along a path, at least `spacing` (m) apart from each other, and the last one."""
+    """Draw silhouettes along a path, at least `spacing` (m) apart from each other, and the last one.
+
+    Args:
+        place: maps world points (..., 3) to the plane of the drawing (..., 2), without mirroring.
+    """
     rows = surface_rows(dynamics.body)
-    drawn: list[np.ndarray] = [states[-1, :2]]
-    chosen = []
+    chosen = [states[-1]]
     for x in states:
-        if min(np.linalg.norm(x[:2] - other) for other in drawn) >= spacing:
+        if min(np.linalg.norm(x[:2] - other[:2]) for other in chosen) >= spacing:
             chosen.append(x)
-            drawn.append(x[:2])
-    for x in [*chosen, states[-1]]:
-        silhouette(axes, dynamics.surface(x), rows, colour)
+    for x in chosen:
+        silhouette(axes, place(dynamics.surface(x)), rows, colour)
     axes.autoscale_view()

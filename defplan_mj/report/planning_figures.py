@@ -12,7 +12,7 @@ from matplotlib.patches import Circle
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.log.plotting import FAINT, INK, OBSTACLE, PATH, SERIES, TARGET, new_figure, styled
 from defplan_mj.log.reader import EpisodeLog
-from defplan_mj.report.gait_figures import draw_bodies, draw_path
+from defplan_mj.report.gait_figures import Place, draw_bodies, draw_path, flat
 
 _ABSCISSAE = {"transitions": "transitions", "iterations": "iterations", "seconds": "seconds"}
 _REWARD = "#c8392b"  # the paper's red mean, on grey from minimum to maximum
@@ -78,34 +78,46 @@ def rates_figure(rates: Sequence[tuple[str, float, tuple[float, float]]]) -> Fig
 
 @styled
 def episode_figure(log: EpisodeLog, dynamics: ReducedDynamics) -> Figure:
-    """Return one episode from above: path green, obstacles blue, target red, bodies on the way."""
-    figure, grid = new_figure(4.6, 3.6)
+    """Return one episode from above, turned so that the way leads to the right.
+
+    Path green, obstacles blue, target red, bodies on the way.
+    """
+    figure, grid = new_figure(4.6, 2.9)
     axes = grid[0, 0]
-    draw_scene(axes, log)
-    draw_path(axes, log.states[:, :2])
-    draw_bodies(axes, dynamics, log.states, 1.8 * dynamics.body.length, INK)
-    hit = log.states[1:][log.clearance < 0]
+    start = log.states[0, :2]
+    x, y = log.scene.target[:2] - start
+    turn = np.array([[x, y], [-y, x]]) / np.hypot(x, y)
+
+    def place(points: np.ndarray) -> np.ndarray:
+        return (points[..., :2] - start) @ turn.T
+
+    draw_scene(axes, log, place)
+    draw_path(axes, place(log.states))
+    draw_bodies(axes, dynamics, log.states, 1.8 * dynamics.body.length, INK, place)
+    hit = place(log.states[1:][log.clearance < 0])
     if len(hit):
         axes.scatter(hit[0, 0], hit[0, 1], s=60, marker="x", color=TARGET, zorder=6)
-    axes.set(xlabel="x (m)", ylabel="y (m)")
-    axes.set_title(f"{log.path.stem}: {log.outcome or log.fault}", loc="left")
+    axes.set(xlabel="towards the target (m)", ylabel="to the left (m)")
+    cycles = f", {len(log.gait_index)} cycles" if log.outcome else ""
+    axes.set_title(f"{log.path.stem}: {log.outcome or log.fault}{cycles}", loc="left")
     axes.set_aspect("equal", adjustable="datalim")
     axes.autoscale_view()
     return figure
 
 
-def draw_scene(axes: Axes, log: EpisodeLog, faint: bool = False) -> None:
+def draw_scene(axes: Axes, log: EpisodeLog, place: Place = flat, faint: bool = False) -> None:
     """Draw target and obstacles; moving ones where they are at the end, with their way as a line."""
     scene, end = log.scene, float(log.time[-1])
-    x, y = scene.target[:2]
+    x, y = place(scene.target)
     axes.add_patch(Circle((x, y), scene.goal_radius, color=TARGET, alpha=0.25, lw=0))
     axes.scatter(x, y, s=22, color=TARGET, zorder=5)
-    for centre, radius, velocity in zip(scene.centres, scene.radii, scene.velocities, strict=True):
-        last = centre + velocity * end
-        axes.add_patch(Circle(last[:2], radius, color=OBSTACLE, alpha=0.4 if faint else 0.85, lw=0))
+    first, last = place(scene.centres), place(scene.centres + scene.velocities * end)
+    for a, b, radius, velocity in zip(first, last, scene.radii, scene.velocities, strict=True):
+        alpha = 0.4 if faint else 0.85
+        axes.add_patch(Circle((b[0], b[1]), radius, color=OBSTACLE, alpha=alpha, lw=0))
         if velocity.any() and not faint:
-            axes.add_patch(Circle(centre[:2], radius, fill=False, ec=OBSTACLE, lw=0.7, ls=":"))
-            axes.plot(*np.stack([centre, last])[:, :2].T, color=OBSTACLE, lw=0.7, ls=":")
+            axes.add_patch(Circle((a[0], a[1]), radius, fill=False, ec=OBSTACLE, lw=0.7, ls=":"))
+            axes.plot([a[0], b[0]], [a[1], b[1]], color=OBSTACLE, lw=0.7, ls=":")
 
 
 @styled

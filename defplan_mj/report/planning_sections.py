@@ -30,7 +30,7 @@ from defplan_mj.report.planning_figures import (
 )
 from defplan_mj.report.sections import missing
 
-SHOWN = 6  # episodes of a kind that are drawn one by one
+SHOWN, MANY = 4, 6  # episodes of a kind that are drawn one by one; that call for an overview
 
 
 def training_section(material: Material) -> Section:
@@ -151,7 +151,7 @@ def trajectory_section(material: Material) -> Section:
             log
         )
     for name, group in groups.items():
-        if len(group) >= 4:
+        if len(group) >= MANY:
             section.blocks.append(
                 drawing(
                     overview_figure(group),
@@ -160,14 +160,16 @@ def trajectory_section(material: Material) -> Section:
                     "(blue): a path may cross those of another.",
                 )
             )
-        shown = group[:SHOWN]
-        more = f" ({len(shown)} of {len(group)})" if len(group) > len(shown) else ""
+        # what failed is shown first
+        shown = sorted(group, key=lambda log: log.outcome == "success")[:SHOWN]
+        more = f" ({len(shown)} of {len(group)}, failures first)" if len(group) > SHOWN else ""
         section.blocks.append(
             Figures(
                 [drawing(episode_figure(log, dynamics)) for log in shown],
-                f"Logged {name} episodes{more}, from above: path of the centre of mass (green), "
-                "silhouettes of the body on its way (black), obstacles (blue; a moving one where it "
-                "is at the end, dotted where it began), target within its goal radius (red).",
+                f"Logged {name} episodes{more}, from above and turned so that the target is to the "
+                "right: path of the centre of mass (green), silhouettes of the body on its way "
+                "(black), obstacles (blue; a moving one where it is at the end, dotted where it "
+                "began), target within its goal radius (red).",
             )
         )
     return section
@@ -196,7 +198,8 @@ def comparison_section(material: Material) -> Section:
             "Displacement in one cycle as seen from its start (dots: the truth, crosses: the "
             "surrogate); the path of one log beside the surrogate's own, which never sees the truth "
             "after the start and drifts; errors of position and heading after one cycle, a dot a "
-            "cycle, the box from quartile to quartile.",
+            "cycle, the box from quartile to quartile. Hollow: an episode's first cycles, in which "
+            "the body gets up to speed from rest; the surrogate knows full speed only.",
         ),
         Table(
             TABLE_COLUMNS,
