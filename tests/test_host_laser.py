@@ -81,7 +81,7 @@ def test_laser_does_not_see_robot_target_or_sea_bed():
     physics = samples.physics()
     with physics.reset_context():
         physics.set_scene(samples.scene([], target=(2.0, 0.0, 0.0)))
-        physics.data.qpos[2] = -2.9  # the sea bed is at -3 m
+        physics.data.qpos[2] = -3.9  # the sea bed is at -4 m
     assert (physics.laser() == 10.0).all()
 
 

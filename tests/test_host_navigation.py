@@ -57,16 +57,20 @@ def test_cycles_equal_mujocos_rollout_to_the_bit():
         assert np.array_equal(states[:, 11 * (cycle + 1) - 1], np.tile(now, (3, 1)))
 
 
-def test_reward_is_equation_2():
-    target = np.array([3.0, 4.0, 0.0])
-    environment = _environment(samples.scene([], target=tuple(target)))
+@pytest.mark.parametrize("shape", ["cylinder", "sphere"])
+def test_reward_is_equation_2(shape):
+    target = np.array([3.0, 4.0, 2.0])
+    environment = _environment(samples.scene([], target=tuple(target), shape=shape))
     environment.reset()
     before = environment.physics.com()
     step = environment.step(1)
     after = environment.physics.com()
-    expected = np.sum((before - target) ** 2) - np.sum((after - target) ** 2)
+    axes = slice(2) if shape == "cylinder" else slice(3)  # scenes of cylinders are planar
+    expected = np.sum((before - target)[axes] ** 2) - np.sum((after - target)[axes] ** 2)
     assert step.reward == pytest.approx(expected, abs=1e-12)
     assert step.discount == 1.0 and environment.task.outcome == "running"
+    distance = np.linalg.norm((after - target)[axes])
+    assert environment.task.distance(environment.physics) == pytest.approx(distance, abs=1e-12)
 
 
 def test_collision_ends_the_cycle_where_it_happens():

@@ -9,7 +9,7 @@ import pytest
 
 from defplan_mj.errors import DefplanError
 from defplan_mj.host.obstacles import max_obstacles
-from defplan_mj.host.scene import OBSTACLE_HALF_HEIGHT
+from defplan_mj.host.scene import DRAWN_HALF_HEIGHT, DRAWN_HEIGHT, SOLID_HALF_HEIGHT
 from defplan_mj.planning.scenes import Scene
 
 
@@ -18,11 +18,17 @@ def _compiled(scene: Scene) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     for index, (centre, radius) in enumerate(zip(scene.centres, scene.radii, strict=True)):
         body = spec.worldbody.add_body(name=f"obstacle_{index}", mocap=True, pos=centre)
-        if scene.shape == "sphere":
-            body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0])
-        else:
-            size = [radius, OBSTACLE_HALF_HEIGHT + 0.01 * index, 0]
-            body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size)
+        for solid in (True, False):
+            height = SOLID_HALF_HEIGHT if solid else DRAWN_HALF_HEIGHT + 0.01 * index
+            sphere = scene.shape == "sphere"
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE if sphere else mujoco.mjtGeom.mjGEOM_CYLINDER,
+                size=[radius, 0 if sphere else height, 0],
+                pos=[0, 0, 0 if solid or sphere else DRAWN_HEIGHT],
+                contype=int(solid),
+                conaffinity=int(solid),
+                mass=int(solid),
+            )
     return spec.compile()
 
 
@@ -38,13 +44,26 @@ def test_rewritten_obstacles_equal_compiled_ones(shape):
     model, expected = physics.model, _compiled(scene)
     for index in range(3):
         body, twin = physics.model.name2id(f"obstacle_{index}", "body"), index + 1
-        geom, twin_geom = model.body_geomadr[body], expected.body_geomadr[twin]
         assert np.array_equal(model.body_pos[body], expected.body_pos[twin])
-        for name in ("geom_type", "geom_size", "geom_rbound", "geom_aabb"):
-            here, there = getattr(model, name)[geom], getattr(expected, name)[twin_geom]
-            assert here == pytest.approx(there, abs=1e-12), name
+        assert np.array_equal(model.body_ipos[body], expected.body_ipos[twin])
+        for k in range(2):
+            geom, twin_geom = model.body_geomadr[body] + k, expected.body_geomadr[twin] + k
+            for name in ("geom_type", "geom_pos", "geom_size", "geom_rbound", "geom_aabb"):
+                here, there = getattr(model, name)[geom], getattr(expected, name)[twin_geom]
+                assert here == pytest.approx(there, abs=1e-12), name
+        assert model.body_bvhnum[body] == expected.body_bvhnum[twin] == 1
         box, twin_box = model.body_bvhadr[body], expected.body_bvhadr[twin]
         assert model.bvh_aabb[box] == pytest.approx(expected.bvh_aabb[twin_box], abs=1e-12)
+
+
+def test_cylinders_reach_as_far_as_a_swimmer_drifts():
+    physics = samples.physics()
+    for height in (-12.0, 0.0, 12.0):
+        with physics.reset_context():
+            physics.set_scene(samples.scene([(2.0, 0.0, 1.0), (0.0, 0.8, 0.5)]))
+            physics.data.qpos[2] = height
+        assert physics.laser()[0] == pytest.approx(1.0)
+        assert physics.clearance() == pytest.approx(0.3 - 0.08, abs=0.03)
 
 
 def test_target_is_placed_and_sized():

@@ -31,6 +31,10 @@ class Navigate(base.Task):
     The surface is checked against all obstacles after every physics step; the episode ends within
     the cycle, at the physics step where the target is reached or an obstacle touched.
 
+    Scenes of upright cylinders are planar problems, as in the paper: the distance from the target
+    is the horizontal one, so that drifting up or down is neither a way out nor held against the
+    robot. In scenes of spheres it is the distance in space.
+
     Attributes:
         scene: of this episode; setting it takes effect at the next reset.
         outcome: 'running', 'success', 'collision' or 'timeout'.
@@ -130,13 +134,20 @@ class Navigate(base.Task):
             self.outcome = "timeout"
 
     def distance(self, physics: Physics) -> float:
-        """Return the distance of the centre of mass from the target, m."""
-        return float(np.linalg.norm(physics.com() - self._here().target))
+        """Return the distance of the centre of mass from the target, m; see `Navigate`."""
+        return float(np.linalg.norm(self._offset(physics.com())))
+
+    def _offset(self, centre: np.ndarray) -> np.ndarray:
+        """Return `centre` minus the target; level for scenes of cylinders, which are planar."""
+        scene = self._here()
+        offset = centre - scene.target
+        if scene.shape == "cylinder":
+            offset[2] = 0.0
+        return offset
 
     def get_reward(self, physics: Physics) -> float:
         """Return Eq. 2: |c_i - T|^2 - |c_{i+1} - T|^2 - 1000 coll, of the cycle just done."""
-        target = self._here().target
-        before, after = self._before - target, physics.com() - target
+        before, after = self._offset(self._before), self._offset(physics.com())
         collision = COLLISION_PENALTY if self.outcome == "collision" else 0.0
         return float(before @ before - after @ after - collision)
 

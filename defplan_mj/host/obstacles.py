@@ -8,7 +8,13 @@ import mujoco
 import numpy as np
 
 from defplan_mj.errors import DefplanError
-from defplan_mj.host.scene import OBSTACLE_HALF_HEIGHT, PARKED, TARGET
+from defplan_mj.host.scene import (
+    DRAWN_HALF_HEIGHT,
+    DRAWN_HEIGHT,
+    PARKED,
+    SOLID_HALF_HEIGHT,
+    TARGET,
+)
 from defplan_mj.planning.scenes import Scene
 
 RGBA = (0.24, 0.42, 0.80, 1.0)
@@ -25,6 +31,8 @@ def max_obstacles(model: Any) -> int:
 
 def set_scene(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
     """Place the target and the obstacles of `scene`; park the obstacles it does not use.
+
+    Upright cylinders are in effect endless for contact and laser; they are drawn shorter.
 
     Obstacle i is then at centre_i + velocity_i * data.time, in kinematics, laser, contact and
     pictures alike: the plugin moves it. Everything derived (`geom_xpos`, sensors) follows at the
@@ -46,54 +54,33 @@ def set_scene(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, TARGET)
     model.site_pos[site] = scene.target
     model.site_size[site] = scene.goal_radius
+    shape = _SHAPES[scene.shape]
     for index in range(room):
-        if index < len(scene.radii):
-            radius = float(scene.radii[index])
-            # heights differ a little: two tops in one plane would flicker where they overlap
-            height = OBSTACLE_HALF_HEIGHT + 0.01 * index if scene.shape == "cylinder" else 0.0
-            size = [radius, height, 0.0]
-            place, velocity = scene.centres[index], scene.velocities[index]
-            _set_obstacle(model, data, index, _SHAPES[scene.shape], size, place, velocity, RGBA)
-        else:
-            _set_obstacle(
-                model,
-                data,
-                index,
-                _SHAPES["cylinder"],
-                [1.0, OBSTACLE_HALF_HEIGHT, 0.0],
-                PARKED,
-                np.zeros(3),
-                (0.0, 0.0, 0.0, 0.0),
-            )
+        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"obstacle_{index}")
+        used = index < len(scene.radii)
+        place = scene.centres[index] if used else np.array(PARKED)
+        velocity = scene.velocities[index] if used else np.zeros(3)
+        radius = float(scene.radii[index]) if used else 1.0
+        model.body_pos[body], model.body_user[body] = place, velocity
+        data.mocap_pos[model.body_mocapid[body]] = place + velocity * data.time
+        solid = model.body_geomadr[body]
+        model.geom_contype[solid] = model.geom_conaffinity[solid] = int(used)
+        # heights differ a little: two tops in one plane would flicker where they overlap
+        drawn_height = DRAWN_HALF_HEIGHT + 0.01 * index
+        for geom, height in ((solid, SOLID_HALF_HEIGHT), (solid + 1, drawn_height)):
+            _set_geom(model, geom, shape, radius, height)
+            model.geom_rgba[geom] = RGBA if used else 0  # rays do not see alpha 0
+        model.geom_pos[solid + 1] = [0.0, 0.0, DRAWN_HEIGHT if scene.shape == "cylinder" else 0.0]
+        # the body's tree of bounding boxes holds its only solid geom
+        model.bvh_aabb[model.body_bvhadr[body]] = model.geom_aabb[solid]
 
 
-def _set_obstacle(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    index: int,
-    shape: mujoco.mjtGeom,
-    size: list[float],
-    place: Any,
-    velocity: Any,
-    rgba: tuple[float, float, float, float],
+def _set_geom(
+    model: mujoco.MjModel, geom: int, shape: mujoco.mjtGeom, radius: float, height: float
 ) -> None:
-    """Rewrite one mocap body and its only geom, with the bounds that ray casting culls by.
-
-    A geom of alpha 0 is neither drawn nor seen by rays; one of contype 0 is not touched.
-    """
-    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"obstacle_{index}")
-    geom = model.body_geomadr[body]
-    model.body_pos[body] = place
-    model.body_user[body] = velocity
-    data.mocap_pos[model.body_mocapid[body]] = np.asarray(place) + np.multiply(velocity, data.time)
-    model.geom_type[geom] = shape
-    model.geom_size[geom] = size
-    model.geom_rgba[geom] = rgba
-    model.geom_contype[geom] = model.geom_conaffinity[geom] = int(rgba[3] > 0)
-    half = [size[0], size[0], size[1] if shape == mujoco.mjtGeom.mjGEOM_CYLINDER else size[0]]
-    bounds = [0.0, 0.0, 0.0, *half]
+    """Rewrite type, size and the bounds that ray casting culls by."""
     sphere = shape == mujoco.mjtGeom.mjGEOM_SPHERE
-    model.geom_rbound[geom] = size[0] if sphere else np.hypot(size[0], size[1])
-    model.geom_aabb[geom] = bounds
-    if model.body_bvhadr[body] >= 0:
-        model.bvh_aabb[model.body_bvhadr[body]] = bounds
+    model.geom_type[geom] = shape
+    model.geom_size[geom] = [radius, 0.0 if sphere else height, 0.0]
+    model.geom_rbound[geom] = radius if sphere else np.hypot(radius, height)
+    model.geom_aabb[geom] = [0.0, 0.0, 0.0, radius, radius, radius if sphere else height]

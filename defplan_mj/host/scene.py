@@ -15,10 +15,14 @@ from defplan_mj.kernel.pack import pack_body, pack_options
 ROBOT = "robot"
 ROOT = "root"
 TARGET = "target"
-FLOOR_DEPTH = 3.0  # m below the start
-OBSTACLE_HALF_HEIGHT = 3.0  # m, of upright cylinders
+FLOOR_DEPTH = 4.0  # m below the start
+SOLID_HALF_HEIGHT = (
+    20.0  # m, of upright cylinders: swimmers drift up and down, the problem is planar
+)
+DRAWN_HALF_HEIGHT, DRAWN_HEIGHT = 2.75, -1.25  # m, and of their pictures: from the sea bed to 1.5
 PARKED = (0.0, 0.0, -100.0)  # m, where unused obstacles wait
-SOLID_GROUP, DECOR_GROUP = 0, 2  # geom groups; the laser sees all but decor
+# Geom groups, as is usual in MuJoCo: what is drawn, and what is touched and seen by the laser.
+DECOR_GROUP, SOLID_GROUP = 2, 3
 
 
 def build_spec(
@@ -35,8 +39,8 @@ def build_spec(
 
     The spec may be added to (geoms, bodies, sensors) before it is compiled. Names: body 'robot', its
     free joint 'root', slide joints 'mode_0'..., actuators 'target_0'..., sensor 'clearance', site
-    'target', mocap bodies and geoms 'obstacle_0'..., cameras 'chase', 'side', 'top', numeric 'laser' (number
-    of beams, range in m), text 'body_hash'.
+    'target', mocap bodies and geoms 'obstacle_0'... (and geoms 'obstacle_0_drawn'...), cameras
+    'chase', 'side', 'top', numeric 'laser' (number of beams, range in m), text 'body_hash'.
 
     Args:
         timestep: of the reduced step, s.
@@ -153,14 +157,22 @@ def _add_robot(spec: mujoco.MjSpec, body: Body, timestep: float, normalised: boo
 
 
 def _add_obstacle(spec: mujoco.MjSpec, index: int) -> None:
+    """Add a parked obstacle: a solid geom, which is not drawn, and its picture."""
     name = f"obstacle_{index}"
     holder = spec.worldbody.add_body(name=name, mocap=True, pos=PARKED)
+    cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
+    size = [1, SOLID_HALF_HEIGHT, 0]
+    holder.add_geom(name=name, type=cylinder, size=size, rgba=[0, 0, 0, 0], group=SOLID_GROUP)
     holder.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        size=[1, OBSTACLE_HALF_HEIGHT, 0],
+        name=f"{name}_drawn",
+        type=cylinder,
+        size=[1, DRAWN_HALF_HEIGHT, 0],
+        pos=[0, 0, DRAWN_HEIGHT],
         rgba=[0, 0, 0, 0],
-        group=SOLID_GROUP,
+        group=DECOR_GROUP,
+        contype=0,
+        conaffinity=0,
+        mass=0,  # bounding boxes are centred on the body's centre of mass
     )
 
 
