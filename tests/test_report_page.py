@@ -92,8 +92,13 @@ def run(tmp_path_factory):
         "yaw_sd": 0.02,
     }
     switching = {"gait": {"tasks": [switched], "switching": {"cycles": 200, "falls": 3}}}
-    config = {"task": "fish-swim", "seed": 3}  # a task whose figures in the paper are known
-    seconds = {"body": 10.0, "gait": 61.2, "planner": 115.2}
+    config = {
+        "task": "fish-swim",
+        "seed": 3,
+        "planner": None,
+        "pairs": 50,
+    }  # a task whose figures in the paper are known
+    seconds = {"body": 10.0, "gait": 61.2, "planner": 115.2, "report": 5.0}
     documents = {
         "evaluation": evaluation,
         "gait": switching,
@@ -151,6 +156,11 @@ def test_figures_of_the_run_are_in_the_page(page):
     assert "novel, with shield" in success and "91–97%" in success
     assert "novel, without shield" in success and "90%" in success
     assert "0.410 ± 0.010" in page.text["gaits"] and "3 of 200 cycles tilt" in page.text["gaits"]
+
+
+def test_the_page_says_how_it_was_made(page):
+    assert "defplan run fish-swim --seed 3 --pairs 50 --fresh" in page.text["making"]
+    assert "3.17.0" in page.text["making"]
 
 
 def test_the_papers_figures_stand_beside_ours(page):

@@ -56,6 +56,14 @@ class Text:
 
 
 @dataclass(frozen=True)
+class Code:
+    """A command line."""
+
+    text: str
+    kind: str = "code"
+
+
+@dataclass(frozen=True)
 class Missing:
     """What is not there yet, or cannot be read, and what mends it."""
 
@@ -63,7 +71,7 @@ class Missing:
     kind: str = "missing"
 
 
-Block = Figure | Figures | Table | Text | Missing
+Block = Figure | Figures | Table | Text | Code | Missing
 
 
 @dataclass

@@ -60,8 +60,9 @@ class Material:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """Wall time of each stage, s."""
-        return self.documents.get("run", {}).get("seconds", {})
+        """Wall time of each stage, s; without the report's own, which is not known yet."""
+        seconds = self.documents.get("run", {}).get("seconds", {})
+        return {k: v for k, v in seconds.items() if k not in ("report", "total")}
 
     @property
     def task(self) -> str:

@@ -57,7 +57,7 @@ def evaluations(document: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str
     """Yield label and content of every evaluation in a JSON document, however it is nested."""
     if isinstance(document, dict):
         if "episodes" in document and "success" in document:
-            yield ", ".join(path).replace("_", " "), document
+            yield ", ".join(path).replace("_", " ").replace("k2", "K2"), document
             return
         for name, inner in document.items():
             yield from evaluations(inner, (*path, name))

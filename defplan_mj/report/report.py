@@ -8,7 +8,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from defplan_mj import files
-from defplan_mj.report.content import Fact, Missing, Section, Table, Text, duration, percent
+from defplan_mj.report.content import Code, Fact, Missing, Section, Table, Text, duration, percent
 from defplan_mj.report.material import Material, gather
 from defplan_mj.report.planning_sections import (
     comparison_section,
@@ -90,11 +90,9 @@ def summary(material: Material) -> list[Fact]:
         facts.append(Fact(percent(success), f"of {n} targets reached", detail))
     for task in material.switching.get("tasks", [])[:1]:
         facts.append(Fact(f"{task['advance_m']:.2f} m", "a cycle", f"gait '{task['name']}'"))
-    stages = {k: v for k, v in material.seconds.items() if k != "total"}
-    if stages:
-        facts.append(
-            Fact(duration(sum(stages.values())), "of computing", "all stages, mesh to report")
-        )
+    if material.seconds:
+        total = duration(sum(material.seconds.values()))
+        facts.append(Fact(total, "of computing", "from the mesh to the evaluation"))
     return facts
 
 
@@ -105,12 +103,7 @@ def making_section(material: Material) -> Section:
     if not run:
         section.blocks.append(Missing("run.json is missing: nothing says how this was made."))
         return section
-    seed = material.config.get("seed", 0)
-    section.blocks.append(
-        Text(f"defplan run {material.task} --seed {seed} --fresh makes it again, to the bit.")
-    )
-    rows = [[str(k), _plain(v)] for k, v in material.config.items()]
-    section.blocks.append(Table(["asked for", ""], rows))
+    section.blocks += [Text("This makes it again:"), Code(command(material))]
     versions = run.get("versions", {})
     section.blocks.append(Table(["version", ""], [[str(k), str(v)] for k, v in versions.items()]))
     hashes = []
@@ -123,8 +116,14 @@ def making_section(material: Material) -> Section:
     return section
 
 
-def _plain(value: object) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+def command(material: Material) -> str:
+    """Return the command line that a run was asked for with."""
+    config = material.config
+    words = ["defplan", "run", material.task, "--seed", str(config.get("seed", 0))]
+    for option in ("gait_solver", "planner", "pairs", "episodes"):
+        if config.get(option) is not None:
+            words += [f"--{option.replace('_', '-')}", str(config[option])]
+    return " ".join([*words, "--fresh"])
 
 
 def _seed_of(folder: Path) -> str:

@@ -227,8 +227,7 @@ def surrogate_section(material: Material) -> Section:
 def time_section(material: Material) -> Section:
     """Return the seconds of each stage beside the paper's Table I."""
     section = Section("time", "Seconds per stage")
-    seconds = {k: v for k, v in material.seconds.items() if k != "total"}
-    paper = material.paper
+    seconds, paper = material.seconds, material.paper
     if not seconds:
         section.blocks.append(missing(material, "run.json"))
         return section
