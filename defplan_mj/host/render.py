@@ -150,8 +150,7 @@ def _frames(
     r = body.n_modes
     view = _camera(model, camera, states[:, :3], scene, size[1] / size[0])
     with Offscreen(model, *size) as offscreen:
-        # seen from far above, the shadow map is too coarse
-        offscreen.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera != MAP
+        offscreen.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera != MAP  # to scale
         for index in indices:
             data.time = index * timestep
             data.qpos[:], data.qvel[:] = states[index, : 7 + r], states[index, 7 + r :]

@@ -148,7 +148,7 @@ def _add_robot(spec: mujoco.MjSpec, body: Body, timestep: float, normalised: boo
         name="sun",
         mode=track,
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0, 0, 12],
+        pos=[0, 0, 8],
         dir=[0.18, 0.12, -0.975],
         diffuse=[0.75, 0.75, 0.7],
         specular=[0.25, 0.25, 0.25],
@@ -186,7 +186,7 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     visual.headlight.specular = [0.1, 0.1, 0.1]
     visual.map.znear = 0.01
     visual.map.zfar = 60
-    visual.map.shadowclip = 8
+    visual.map.shadowclip = 16
     visual.quality.shadowsize = 4096
     visual.quality.offsamples = 8
     visual.global_.offwidth = 1920
