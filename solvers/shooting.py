@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from defplan_mj.body.model import Body
 from defplan_mj.gait.gait import Gait
-from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.gait.problem import GaitProblem, lateral_share
 from defplan_mj.task import Progress, no_progress
 
 IPOPT = {
@@ -200,23 +199,6 @@ class _Trace(ca.Callback):
         self.objective.append(float(arg[ca.nlpsol_out().index("f")]))
         self.progress(self.message, min(1.0, (self.done + len(self.objective)) / self.total))
         return [0]
-
-
-def lateral_share(body: Body, sections: int = 24) -> np.ndarray:
-    """Return (r,) how much of each mode bends the body sideways as a whole, 0 to 1.
-
-    The share of the mode's kinetic energy in the lateral motion of its cross-sections' means;
-    a swimmer's gait starts in these modes, torsion and vertical bending stay small.
-    """
-    x, mass = body.vertices[:, 0], body.vertex_mass
-    edges = np.linspace(x.min(), x.max(), sections + 1)[1:-1]
-    section = np.digitize(x, edges)
-    weight = np.bincount(section, mass, sections)
-    shares = []
-    for mode in body.modes.transpose(2, 0, 1):
-        mean = np.bincount(section, mass * mode[:, 1], sections) / np.maximum(weight, 1e-300)
-        shares.append((weight * mean**2).sum() / (mass[:, None] * mode**2).sum())
-    return np.array(shares)
 
 
 SOLVER = Shooting()

@@ -13,6 +13,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from defplan_mj.body.model import Body
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
@@ -29,6 +30,8 @@ class Weights:
         tilt: of the mean squared tilt, 1/rad^2.
         upright: of the mean squared excess of the squared tilt over (15 degrees)^2, 1/rad^4.
         sink: of the squared change of depth, 1/m^2.
+        off_plane: of the mean squared target shape, in units of the amplitude, in modes that do
+            not bend the body sideways: a fish swims with its tail, not like a corkscrew.
         sharpness: of the mean squared beta.
     """
 
@@ -37,6 +40,7 @@ class Weights:
     tilt: float = 1.0
     upright: float = 10.0
     sink: float = 1.0
+    off_plane: float = 0.15
     sharpness: float = 1e-3
 
 
@@ -195,9 +199,20 @@ class GaitProblem:
             cost += self.trajectory_cost(sequence, settle)(
                 x0[:, i], x[:, i * steps : (i + 1) * steps]
             )
+        return ca.Function(
+            "objective", [w], [cost / count + self.regularisation(w)], ["w"], ["cost"]
+        )
+
+    def regularisation(self, w: ca.MX) -> ca.MX:
+        """Return the part of the objective that is of w alone: off-plane effort and sharpness."""
+        body, n = self.dynamics.body, self.n_tasks * self.steps_per_cycle
+        off_plane = (1 - lateral_share(body)) / body.amplitude**2
+        effort = ca.sum2(self.dmp(w) ** 2) / n
         beta = w[self.n_phases * (1 + self.n_tasks) :]
-        total = cost / count + self.weights.sharpness * ca.sumsqr(beta) / beta.numel()
-        return ca.Function("objective", [w], [total], ["w"], ["cost"])
+        return (
+            self.weights.off_plane * ca.dot(off_plane, effort)
+            + self.weights.sharpness * ca.sumsqr(beta) / beta.numel()
+        )
 
     def switching_sequences(
         self, rng: np.random.Generator, count: int | None = None
@@ -244,3 +259,20 @@ def balanced_sequence(n_tasks: int, length: int, rng: np.random.Generator) -> li
         sequence.append(int(rng.choice(rare)))
         used[here, sequence[-1]] += 1
     return sequence
+
+
+def lateral_share(body: Body, sections: int = 24) -> np.ndarray:
+    """Return (r,) how much of each mode bends the body sideways as a whole, 0 to 1.
+
+    The share of the mode's kinetic energy in the lateral motion of its cross-sections' means;
+    a swimmer's gait starts in these modes, torsion and vertical bending stay small.
+    """
+    x, mass = body.vertices[:, 0], body.vertex_mass
+    edges = np.linspace(x.min(), x.max(), sections + 1)[1:-1]
+    section = np.digitize(x, edges)
+    weight = np.bincount(section, mass, sections)
+    shares = []
+    for mode in body.modes.transpose(2, 0, 1):
+        mean = np.bincount(section, mass * mode[:, 1], sections) / np.maximum(weight, 1e-300)
+        shares.append((weight * mean**2).sum() / (mass[:, None] * mode**2).sum())
+    return np.array(shares)
