@@ -251,3 +251,9 @@ def test_a_log_holds_each_schema_once(logged):
     with open(logged[0], "rb") as stream:
         names = [s.name for s in make_reader(stream).get_summary().schemas.values()]
     assert sorted(names) == sorted({k.DESCRIPTOR.full_name for k in schemas.CHANNELS.values()})
+
+
+def test_the_same_episode_gives_the_same_log_to_the_byte(tmp_path):
+    for name in ("a", "b"):
+        record_episode(tmp_path / f"{name}.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()

@@ -59,7 +59,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag, f"{tag} is closed in the wrong place"
 
     def handle_data(self, data):
-        self.text[self._section] = self.text.get(self._section, "") + data
+        self.text[self._section] = self.text.get(self._section, "") + " " + data
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,10 @@ def run(tmp_path_factory):
         "yaw_rad": 0.61,
         "yaw_sd": 0.02,
     }
+    solver = {"name": "alternating", "objective": 1.25, "resimulated": 1.5, "seconds": 44.0}
+    solver |= {"advance_m": 0.55, "falls": 7}
     switching = {"gait": {"tasks": [switched], "switching": {"cycles": 200, "falls": 3}}}
+    switching["solvers"] = [solver]
     config = {
         "task": "fish-swim",
         "seed": 3,
@@ -156,6 +159,11 @@ def test_figures_of_the_run_are_in_the_page(page):
     assert "novel, with shield" in success and "91–97%" in success
     assert "novel, without shield" in success and "90%" in success
     assert "0.410 ± 0.010" in page.text["gaits"] and "3 of 200 cycles tilt" in page.text["gaits"]
+
+
+def test_gait_solvers_stand_side_by_side(page):
+    text = " ".join(page.text["gaits"].split())
+    assert "alternating 1.250 1.500 44.0 0.550 7" in text
 
 
 def test_the_page_says_how_it_was_made(page):

@@ -84,6 +84,17 @@ class Material:
         return document.get("gait", document)
 
     @property
+    def solvers(self) -> list[dict[str, Any]]:
+        """The gait solvers on the same problem, one entry a solver; empty if not compared.
+
+        'name', 'objective' (its own), 'resimulated' (the same objective, simulated again),
+        'seconds', 'advance_m' and 'falls' (while switching).
+        """
+        documents = (self.documents.get(name, {}) for name in ("gait", "gait_solvers"))
+        found: Any = next((d["solvers"] for d in documents if "solvers" in d), [])
+        return found if isinstance(found, list) else []
+
+    @property
     def paper(self) -> dict[str, Any]:
         """The paper's figures for this task."""
         return self.spec.paper if self.spec else {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -144,7 +145,7 @@ def _gait_tables(material: Material) -> list[Block]:
         blocks.append(Table(["gait", "advance (m)", "yaw (rad)"], rows, caption))
     else:
         blocks.append(Missing("Advance and yaw a cycle under switching were not measured yet."))
-    solvers = solver_rows(material.documents.get("gait_solvers", {}).get("solvers"))
+    solvers = solver_rows(material.solvers)
     if solvers:
         columns = [
             "solver",
@@ -165,10 +166,8 @@ def _gait_tables(material: Material) -> list[Block]:
     return blocks
 
 
-def solver_rows(solvers: Any) -> list[list[str]]:
+def solver_rows(solvers: Sequence[dict[str, Any]]) -> list[list[str]]:
     """Return a row a solver: its own objective, the re-simulated one, seconds, advance, falls."""
-    if not isinstance(solvers, list):
-        return []
     return [
         [
             str(solver.get("name", "")),
