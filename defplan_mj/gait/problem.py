@@ -39,7 +39,7 @@ class Weights:
     speed: float = 6.0
     tilt: float = 1.0
     upright: float = 10.0
-    sink: float = 1.0
+    sink: float = 20.0
     off_plane: float = 0.15
     sharpness: float = 1e-3
 

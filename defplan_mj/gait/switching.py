@@ -21,6 +21,7 @@ class Switching:
         task: (cycles,) task of each cycle.
         advance: (cycles,) displacement along the heading at the cycle's start, m.
         drift: (cycles,) displacement to the left of it, m.
+        rise: (cycles,) vertical displacement, m.
         yaw: (cycles,) change of heading, rad.
         tilt: (cycles,) largest tilt of the body's z axis within the cycle, rad.
         settle: cycles from rest that the statistics leave out.
@@ -30,6 +31,7 @@ class Switching:
     task: np.ndarray
     advance: np.ndarray
     drift: np.ndarray
+    rise: np.ndarray
     yaw: np.ndarray
     tilt: np.ndarray
     settle: int = 2
@@ -57,6 +59,7 @@ class Switching:
                     "yaw_rad": float(yaw.mean()),
                     "yaw_sd": float(yaw.std()),
                     "drift_m": float(drift.mean()),
+                    "rise_m": float(self.rise[of_task].mean()) if of_task.any() else float("nan"),
                 }
             )
         return rows
@@ -110,6 +113,7 @@ def measure_cycles(dynamics: ReducedDynamics, gait: Gait, task: np.ndarray) -> S
         task=task,
         advance=np.cos(yaw) * move[:, 0] + np.sin(yaw) * move[:, 1],
         drift=-np.sin(yaw) * move[:, 0] + np.cos(yaw) * move[:, 1],
+        rise=end[:, 2] - start[:, 2],
         yaw=wrap(heading(end) - yaw),
         tilt=tilt(x[1:]).reshape(-1, n).max(1),
     )
