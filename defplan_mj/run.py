@@ -17,16 +17,13 @@ import numpy as np
 from defplan_mj import files, registry, threads
 from defplan_mj.store import RunFolder, file_hash, read_config
 from defplan_mj.task import Progress, TaskSpec, no_progress
+from defplan_mj.trial import Recorders, evaluate
 
 if TYPE_CHECKING:
-    from dm_control.rl.control import Environment
-
     from defplan_mj.body.model import Body
     from defplan_mj.dynamics.reduced import ReducedDynamics
     from defplan_mj.gait.gait import Gait
-    from defplan_mj.log.recorder import Recorder, RunFiles
     from defplan_mj.planning.planner import Planner
-    from defplan_mj.planning.scenes import Scene
     from defplan_mj.planning.surrogate import Surrogate
 
 STAGES = ("body", "gait", "surrogate", "planner", "evaluation")
@@ -58,31 +55,6 @@ class RunOptions:
     remake: str | None = None
 
 
-@dataclass(frozen=True)
-class Recorders:
-    """Gives each of the first episodes a recorder; picklable, for evaluations in processes.
-
-    Attributes:
-        folder: where the logs go, as '<scenes>-<episode>.mcap'.
-        scenes: 'k2' or 'novel'.
-        count: how many episodes are logged.
-        parts: what is attached to every log; filled in by `Run.evaluate`.
-    """
-
-    folder: Path
-    scenes: str
-    count: int
-    parts: RunFiles | None = None
-
-    def __call__(self, index: int, scene: Scene) -> Recorder | None:
-        """Return the recorder of episode `index`."""
-        from defplan_mj.log.recorder import Recorder
-
-        if index >= self.count or self.parts is None:
-            return None
-        return Recorder(self.folder / f"{self.scenes}-{index:02d}.mcap", self.parts)
-
-
 class Run:
     """One run of a task in its folder. A stage is made, or read again, when it is first asked for.
 
@@ -105,6 +77,7 @@ class Run:
         self.options = options
         self._progress = progress
         self.hashes: dict[str, str] = {}
+        self._used: set[str] = set()
 
     @cached_property
     def gait_solver(self) -> Any:
@@ -127,7 +100,7 @@ class Run:
         path = self.folder.file("body.npz")
 
         def make() -> Iterable[Path]:
-            body = build_body(self.spec.mesh, self.spec.body, self._stage("body"))
+            body = build_body(self.spec.mesh, self.spec.body, self.progress("body"))
             body.save(path)
             return [path]
 
@@ -156,7 +129,7 @@ class Run:
             problem = GaitProblem(
                 self.dynamics, spec.gait_tasks, spec.steps_per_cycle, spec.gait_steps
             )
-            progress = self._stage("gait")
+            progress = self.progress("gait")
             gait = threads.interruptible(lambda: solver.solve(problem, self.options.seed, progress))
             gait.save(path)
             measured = evaluate_switching(self.dynamics, gait, SWITCHING_CYCLES, self.options.seed)
@@ -187,7 +160,7 @@ class Run:
 
         def make() -> Iterable[Path]:
             pairs, seed = self.options.pairs, self.options.seed
-            progress = self._stage("surrogate")
+            progress = self.progress("surrogate")
             fit_surrogate(self.dynamics, self.gait, pairs, seed, progress).save(path)
             return [path]
 
@@ -207,7 +180,7 @@ class Run:
 
         def make() -> Iterable[Path]:
             result = solver.train(
-                surrogate, navigation, self.options.seed, progress=self._stage("planner")
+                surrogate, navigation, self.options.seed, progress=self.progress("planner")
             )
             solver.save(result.planner, self.policy)
             files.save_archive(
@@ -242,17 +215,21 @@ class Run:
 
         def make() -> Iterable[Path]:
             found: dict[str, dict[str, Any]] = {}
+            logs: set[Path] = set()
             logged = {"k2": self.spec.navigation.k2, "novel": self.options.logged}
             for scenes, count in logged.items():
                 for shield in (True, False):
                     name = "with_shield" if shield else "without_shield"
                     episodes = self.options.episodes if scenes == "novel" else None
                     log = Recorders(self.folder.path, scenes, count) if shield else None
-                    result = self.evaluate(scenes, shield, episodes=episodes, log=log)
+                    result = evaluate(self, scenes, shield, episodes=episodes, log=log)
                     found.setdefault(scenes, {})[name] = result
+                    if log is not None:
+                        logs |= {log.path(i) for i in range(min(count, result["episodes"]))}
+            for stale in set(self.folder.path.glob("*.mcap")) - logs:
+                stale.unlink()
             write_json(path, found)
-            logs = [self.folder.path.glob(f"{scenes}-*.mcap") for scenes in logged]
-            return [path, *(p for of in logs for p in of if ".partial" not in p.name)]
+            return [path, *logs]
 
         _ = self.planner
         inputs = {
@@ -267,86 +244,6 @@ class Run:
         self._make("evaluation", inputs, make)
         return json.loads(path.read_text(encoding="utf-8"))
 
-    def evaluate(
-        self,
-        scenes: str,
-        shield: bool,
-        *,
-        episodes: int | None = None,
-        obstacles: int | None = None,
-        obstacle_speed: float = 0.0,
-        log: Recorders | None = None,
-    ) -> dict[str, Any]:
-        """Let the planner steer through scenes; the same seed and options give the same scenes.
-
-        Args:
-            scenes: 'k2' or 'novel'.
-            shield: wrap the planner in the safety shield.
-            episodes: how many (None: the task's number of K2 targets, the run's of novel ones).
-            obstacles: on the way to each target (None: the task's).
-            obstacle_speed: m/s.
-            log: where the logs go; None: nowhere.
-
-        Returns:
-            JSON-able: number of episodes, rates and their intervals, and 'rows', one an episode.
-        """
-        from defplan_mj.log.recorder import RunFiles
-        from defplan_mj.planning.evaluation import evaluate
-        from defplan_mj.planning.scenes import k2_scenes, novel_scenes
-
-        navigation, seed = self.spec.navigation, self.options.seed
-        if scenes == "k2":
-            chosen = k2_scenes(navigation, seed, episodes, obstacles, obstacle_speed)
-        else:
-            count = episodes or self.options.episodes
-            chosen = novel_scenes(navigation, count, seed, obstacles, obstacle_speed)
-        planner = self.planner
-        if log is not None:
-            parts = RunFiles.of(self.body, self.gait, self.surrogate, self.policy)
-            log = dataclasses.replace(log, parts=parts)
-        context = {
-            "task": self.spec.name,
-            "seed": seed,
-            "planner": self.planner_solver.name,
-            "shield": shield,
-            "navigation": dataclasses.asdict(navigation),
-        }
-        name = f"evaluation: {scenes}, {'with' if shield else 'without'} shield"
-        return evaluate(
-            self.body,
-            self.gait,
-            self.surrogate,
-            navigation,
-            planner,
-            chosen,
-            shield=shield,
-            recorder=log,
-            context=context,
-            progress=lambda _, fraction: self._progress(name, fraction),
-        ).to_json()
-
-    def steering(self, shield: bool) -> Planner:
-        """Return the planner, in the safety shield if that is wanted."""
-        from defplan_mj.planning.shield import Shield
-
-        if not shield:
-            return self.planner
-        return Shield(self.planner, self.surrogate, self.spec.navigation)
-
-    def environment(self, obstacles: int | None = None) -> Environment:
-        """Return the navigation environment; it draws novel scenes from the run's seed."""
-        from defplan_mj.host.navigation import navigation_environment
-        from defplan_mj.planning.scenes import novel_scenes
-
-        navigation = self.spec.navigation
-
-        def sampler(random: np.random.RandomState) -> Scene:
-            return novel_scenes(navigation, 1, int(random.randint(2**31)), obstacles)[0]
-
-        return navigation_environment(
-            self.body, self.gait, navigation, sampler, random=self.options.seed
-        )
-
     def report(self) -> Path:
         """Write the report, or find it as it was written of the same files."""
         from defplan_mj.report.report import write_report
@@ -354,59 +251,16 @@ class Run:
         path = self.folder.file(REPORT_FILE)
 
         def make() -> Iterable[Path]:
-            return [write_report(self.folder.path, self._stage("report"))]
+            return [write_report(self.folder.path, self.progress("report"))]
 
         self._make("report", dict(sorted(self.hashes.items())), make)
         return path
 
-    def results(self) -> dict[str, Any]:
-        """Do everything that is not done yet; return what `defplan run --json` prints."""
-        _ = self.gait_solver, self.planner_solver  # a wrong name is told before the work, not after
-        gait = self.gait_results()
-        surrogate = self.surrogate_results()
-        _ = self.planner
-        evaluation = self.evaluation()
-        report = self.report()
-        seconds = {name: self.seconds(name) for name in STAGES}
-        logs = sorted(str(self.folder.file(n)) for n in self.hashes if n.endswith(".mcap"))
-        return {
-            "task": self.spec.name,
-            "seed": self.options.seed,
-            "seconds": {**seconds, "total": sum(seconds.values())},
-            "gait": gait,
-            "surrogate": surrogate,
-            "evaluation": {
-                scenes: without_rows(both["with_shield"])
-                | {"without_shield": without_rows(both["without_shield"])}
-                for scenes, both in evaluation.items()
-            },
-            "files": {
-                "log": logs[0] if logs else None,
-                "report": str(report),
-                "body": str(self.folder.file("body.npz")),
-                "gait": str(self.folder.file("gait.npz")),
-                "policy": str(self.policy),
-                "logs": logs,
-            },
-        }
-
-    def gait_results(self) -> dict[str, Any]:
-        """Return what the gaits do while they are switched: advance and turn a cycle, falls."""
-        _ = self.gait
-        document = json.loads(self.folder.file(GAIT_FILE).read_text(encoding="utf-8"))
-        return document["gait"]
-
-    def surrogate_results(self) -> dict[str, Any]:
-        """Return the row of the paper's Table III."""
-        found = self.surrogate
-        names = ("rotation_mean", "rotation_sd", "translation_mean", "translation_sd")
-        tasks = [
-            {"name": task, **{name: float(getattr(found, name)[k]) for name in names}}
-            for k, task in enumerate(found.task_names)
-        ]
-        return {"pairs": found.pairs, "tasks": tasks}
-
     # ---- helpers
+
+    def total_seconds(self) -> float:
+        """Return the wall time of all stages that this run's results are made of, s."""
+        return sum(self.folder.seconds(key) for key in self._used)
 
     def seconds(self, stage: str) -> float:
         """Return the wall time a stage took when it was made, s."""
@@ -432,9 +286,10 @@ class Run:
     def _make(self, stage: str, inputs: dict[str, Any], make: Callable[[], Iterable[Path]]) -> None:
         """Make a stage or find it; remember the hashes of its files."""
         fresh = self.options.remake == stage
+        self._used.add(self._key(stage))
         self.hashes.update(self.folder.stage(self._key(stage), inputs, make, fresh))
 
-    def _stage(self, stage: str) -> Progress:
+    def progress(self, stage: str) -> Progress:
         """Return a Progress that names the stage."""
 
         def show(message: str, fraction: float) -> None:
@@ -478,11 +333,6 @@ def open_run(
         config["planner"] = kept.get("planner")
     with RunFolder(path, config, fresh) as folder:
         yield Run(spec, folder, options, progress)
-
-
-def without_rows(evaluation: dict[str, Any]) -> dict[str, Any]:
-    """Return an evaluation without its single episodes."""
-    return {name: value for name, value in evaluation.items() if name != "rows"}
 
 
 def write_json(path: Path, data: Any) -> None:

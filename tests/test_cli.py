@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import signal
 import subprocess
 import sys
 
@@ -111,6 +112,13 @@ def test_an_error_is_one_sentence_on_stderr_and_a_traceback_only_with_debug(
     assert sentence in captured.err
     assert cli.main(["list", "--debug"]) == code
     assert "Traceback" in capfd.readouterr().err
+
+
+def test_an_error_leaves_the_caller_his_own_ctrl_c(failing):
+    failing(KeyboardInterrupt())
+    before = signal.getsignal(signal.SIGINT)
+    assert cli.main(["list"]) == 130
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_with_json_whatever_else_is_printed_goes_to_stderr(capfd):

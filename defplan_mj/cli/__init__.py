@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from defplan_mj import threads
 from defplan_mj.errors import DefplanError
@@ -29,11 +29,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse: --help or wrong usage
         return stop.code if isinstance(stop.code, int) else 1
     except BaseException as error:
-        with contextlib.suppress(ValueError):  # not the main thread of an embedding program
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # one Ctrl-C is enough
-        if debug:
-            traceback.print_exc()
-        return _report(error)
+        with _one_is_enough():
+            if debug:
+                traceback.print_exc()
+            return _report(error)
+
+
+@contextlib.contextmanager
+def _one_is_enough() -> Iterator[None]:
+    """Ignore a second Ctrl-C while the first one, or an error, is being told."""
+    try:
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except ValueError:  # not the main thread of a program that calls us
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _run(argv: Sequence[str] | None) -> int:

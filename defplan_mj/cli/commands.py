@@ -66,6 +66,8 @@ def _left(rows: list[list[str]]) -> str:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Do everything from the mesh to the report."""
+    from defplan_mj.results import run_results
+
     chosen = {
         "gait_solver": arguments.gait_solver,
         "planner": arguments.planner,
@@ -76,15 +78,17 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         console.progress() as progress,
         _open(arguments, progress, whole=True, **chosen) as run,
     ):
-        data = run.results()
+        data = run_results(run)
     console.result(data, run_text(data))
     return 0
 
 
 def gait(arguments: argparse.Namespace, console: Console) -> int:
     """Optimise the task's gaits, and say what they do."""
+    from defplan_mj.results import gait_results
+
     with _stage(arguments, console, "gait", gait_solver=arguments.solver) as run:
-        data = {**run.gait_results(), "seconds": run.folder.seconds("gait")}
+        data = {**gait_results(run), "seconds": run.folder.seconds("gait")}
         data["file"] = run.folder.file("gait.npz")
     console.result(data, f"{data['file']}, {data['seconds']:.1f} s\n{gait_text(data)}")
     return 0
@@ -92,8 +96,10 @@ def gait(arguments: argparse.Namespace, console: Console) -> int:
 
 def surrogate(arguments: argparse.Namespace, console: Console) -> int:
     """Fit the rigid surrogate, and print its row of the paper's Table III."""
+    from defplan_mj.results import surrogate_results
+
     with _stage(arguments, console, "surrogate", pairs=arguments.pairs) as run:
-        data = {**run.surrogate_results(), "seconds": run.folder.seconds("surrogate")}
+        data = {**surrogate_results(run), "seconds": run.folder.seconds("surrogate")}
         data["file"] = run.folder.file("surrogate.npz")
     console.result(data, f"{data['file']}, {data['seconds']:.1f} s\n{surrogate_text(data)}")
     return 0
@@ -115,13 +121,16 @@ def planner(arguments: argparse.Namespace, console: Console) -> int:
 
 def evaluate(arguments: argparse.Namespace, console: Console) -> int:
     """Let a planner steer the reduced dynamics through scenes, and count how the episodes end."""
-    from defplan_mj.run import Recorders, without_rows
+    from defplan_mj.results import without_rows
+    from defplan_mj.trial import Recorders
+    from defplan_mj.trial import evaluate as try_planner
 
     log = None
     if arguments.log is not None:
         log = Recorders(arguments.log, arguments.scenes, 10**9)
     with _stage(arguments, console, "evaluation", planner=arguments.planner) as run:
-        result = run.evaluate(
+        result = try_planner(
+            run,
             arguments.scenes,
             arguments.shield,
             episodes=arguments.episodes,
@@ -187,12 +196,13 @@ def _stage(
 
 def view(arguments: argparse.Namespace, console: Console) -> int:
     """Watch the planner swim through novel scenes, in real time, until the window is closed."""
+    from defplan_mj import trial
     from defplan_mj.host.viewer import require_display, view
 
     require_display()  # before any work
     with _stage(arguments, console, "view", planner=arguments.planner) as run:
-        environment = run.environment(arguments.obstacles)
-        planner = run.steering(arguments.shield)
+        environment = trial.environment(run, arguments.obstacles)
+        planner = trial.steering(run, arguments.shield)
     outcomes = view(environment, lambda step: int(planner.values(step.observation).argmax()))
     console.result({"outcomes": outcomes}, "\n".join(outcomes))
     return 0

@@ -1,0 +1,314 @@
+"""The pipeline: what it returns, what it uses again, what it makes anew, what an interruption leaves."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from defplan_mj import cli, files, registry
+from defplan_mj.gait.gait import Gait
+from defplan_mj.log.reader import read_log
+from defplan_mj.planning.planner import TrainResult
+from defplan_mj.results import run_results
+from defplan_mj.run import open_run
+from defplan_mj.task import BodyOptions, Navigation, TaskSpec, no_progress
+
+NAVIGATION = Navigation(
+    distance=4.0, max_cycles=4, k2=2, k2_obstacles=1, novel_obstacles=2, beams=16
+)
+
+
+class Wave:
+    """A gait solver that optimises nothing: a travelling wave with a bend to either side."""
+
+    kind = "gait"
+    name = "wave"
+    summary = "a wave"
+
+    def __init__(self):
+        self.calls = 0
+
+    def solve(self, problem, seed, progress=no_progress):
+        self.calls += 1
+        progress("gait: waving", 0.5)
+        body = problem.dynamics.body
+        alpha = np.zeros((3, 2, body.n_modes))
+        alpha[:, 0, :2] = 0.2 * body.amplitude[:2]
+        alpha[:, 1, 0] = 0.3 * np.array([0.0, 1.0, -1.0]) * body.amplitude[0]
+        beta = np.zeros_like(alpha)
+        beta[:, 0] = 1.0
+        mu = np.zeros((2, body.n_modes))
+        mu[0, 1] = np.pi / 2
+        return Gait(
+            body_hash=body.hash,
+            task_names=tuple(task.name for task in problem.tasks),
+            timestep=problem.dynamics.timestep,
+            steps_per_cycle=problem.steps_per_cycle,
+            alpha=alpha,
+            beta=beta,
+            mu=mu,
+            amplitude=body.amplitude,
+            meta={"solver": self.name, "seed": seed},
+        )
+
+
+class Straight:
+    """A planner that always takes the first gait."""
+
+    def reset(self):
+        pass
+
+    def values(self, observation):
+        return np.array([1.0, 0.0, 0.0])
+
+
+class Stubborn:
+    """The plugin of `Straight`."""
+
+    kind = "planner"
+    name = "stubborn"
+    summary = "never turns"
+    needs_training = False
+
+    def __init__(self):
+        self.calls = 0
+
+    def train(self, surrogate, navigation, seed, seconds=None, progress=no_progress):
+        self.calls += 1
+        return TrainResult(Straight(), {"iterations": np.arange(3.0)}, 0.0)
+
+    def save(self, planner, path):
+        files.save_archive(path, "stubborn", 1, {}, {})
+
+    def load(self, path, surrogate, navigation):
+        files.load_archive(path, "stubborn", 1)
+        return Straight()
+
+
+@dataclasses.dataclass
+class Setting:
+    """A small task with its plugins, and the folder of its runs."""
+
+    spec: TaskSpec
+    wave: Wave
+    stubborn: Stubborn
+    logs: object
+
+    def run(self, **options):
+        """Do everything in the folder; return the results and how often each plugin worked."""
+        before = self.wave.calls, self.stubborn.calls
+        whole = options.pop("whole", True)
+        fresh = options.pop("fresh", False)
+        seed = options.pop("seed", 0)
+        chosen = {"pairs": 12, "episodes": 3, "logged": 1, **options}
+        with open_run(self.spec, self.logs, seed, chosen, whole=whole, fresh=fresh) as run:
+            results = run_results(run)
+        return results, (self.wave.calls - before[0], self.stubborn.calls - before[1])
+
+
+@pytest.fixture
+def setting(tmp_path, monkeypatch):
+    """Return a small setting whose plugins stand in for the installed ones."""
+    fish = registry.get_task("fish-swim")
+    spec = dataclasses.replace(
+        fish,
+        body=BodyOptions(vertices=300, modes=4, basis=12, samples=10, patches=24),
+        navigation=NAVIGATION,
+        gait_solver="wave",
+        planner="stubborn",
+    )
+    wave, stubborn = Wave(), Stubborn()
+    plugins = {"wave": wave, "stubborn": stubborn, "other": stubborn}
+    monkeypatch.setattr(registry, "get_solver", lambda name, kind: plugins[name])
+    monkeypatch.setattr(registry, "get_task", lambda name: spec)
+    return Setting(spec, wave, stubborn, tmp_path / "logs")
+
+
+@pytest.fixture
+def short_report(monkeypatch):
+    """Put a line in the place of the report: its pictures take seconds."""
+
+    def write(folder, progress=no_progress):
+        files.write_text(folder / "report.html", "report")
+        return folder / "report.html"
+
+    monkeypatch.setattr("defplan_mj.report.report.write_report", write)
+
+
+def test_a_run_returns_what_the_command_line_promises_and_is_used_again(setting):
+    results, made = setting.run()
+    assert made == (1, 1)
+    assert set(results["seconds"]) == {
+        "body", "gait", "surrogate", "planner", "evaluation", "total",
+    }  # fmt: skip
+    assert results["seconds"]["total"] >= sum(
+        v for k, v in results["seconds"].items() if k != "total"
+    )
+    assert [task["name"] for task in results["gait"]["tasks"]] == ["forward", "left", "right"]
+    assert {"advance_m", "advance_sd", "yaw_rad", "yaw_sd"} <= set(results["gait"]["tasks"][0])
+    assert set(results["gait"]["switching"]) >= {"cycles", "falls"}
+    assert results["surrogate"]["pairs"] == 12
+    assert set(results["surrogate"]["tasks"][0]) == {
+        "name", "rotation_mean", "rotation_sd", "translation_mean", "translation_sd",
+    }  # fmt: skip
+    for scenes, episodes in (("k2", 2), ("novel", 3)):
+        for found in (
+            results["evaluation"][scenes],
+            results["evaluation"][scenes]["without_shield"],
+        ):
+            assert found["episodes"] == episodes
+            total = found["success"] + found["collision"] + found["timeout"]
+            assert total == pytest.approx(1.0)
+    for path in results["files"]["logs"]:
+        assert read_log(path).whole
+    names = [os.path.basename(path) for path in results["files"]["logs"]]
+    assert names == ["k2-00.mcap", "k2-01.mcap", "novel-00.mcap"]
+    assert set(results["files"]) >= {"log", "report", "body", "gait", "policy"}
+    assert all(os.path.isfile(results["files"][n]) for n in ("log", "report", "body", "policy"))
+    json.dumps(results, allow_nan=False)
+
+    again, made = setting.run()
+    assert made == (0, 0)
+    assert again == results
+
+    # a stage command takes the run's own options from the folder
+    with open_run(setting.spec, setting.logs) as run:
+        assert run.surrogate.pairs == 12
+        assert run.options.episodes == 3
+
+
+def test_what_is_damaged_or_changed_is_made_anew_and_nothing_before_it(setting, short_report):
+    first, _ = setting.run()
+    folder = setting.logs / "fish-swim-seed0"
+    body = (folder / "body.npz").stat().st_mtime_ns
+    gait = folder / "gait.npz"
+    gait.write_bytes(gait.read_bytes()[:-50])
+    second, made = setting.run()
+    assert made == (1, 0)  # the same gait again: what follows from it stands
+    assert second["evaluation"] == first["evaluation"]
+
+    (folder / "policy.npz").unlink()
+    assert setting.run()[1] == (0, 1)
+    third, made = setting.run(pairs=14)
+    assert made == (0, 1) and third["surrogate"]["pairs"] == 14
+    assert (folder / "body.npz").stat().st_mtime_ns == body
+    (folder / "k2-01.mcap").unlink()
+    fourth, made = setting.run(pairs=14)
+    assert made == (0, 0) and os.path.isfile(fourth["files"]["logs"][1])
+
+
+def test_a_second_planner_keeps_the_gaits_and_lies_beside_the_first(setting, short_report):
+    setting.run()
+    results, made = setting.run(planner="other")
+    assert made == (0, 1)
+    assert os.path.basename(results["files"]["policy"]) == "policy-other.npz"
+    assert (setting.logs / "fish-swim-seed0" / "policy.npz").is_file()
+
+
+def test_fresh_makes_everything_anew_with_the_same_result(setting, short_report):
+    first, _ = setting.run()
+    second, made = setting.run(fresh=True)
+    assert made == (1, 1)
+    for name in ("gait", "surrogate"):
+        assert first[name] == second[name]
+    for scenes in ("k2", "novel"):
+        one, two = first["evaluation"][scenes], second["evaluation"][scenes]
+        for key in ("success", "collision", "timeout"):
+            assert one[key] == two[key]
+
+
+def test_an_interruption_loses_nothing_made_before(setting, monkeypatch):
+    def stop(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(setting.stubborn, "train", stop)
+    with pytest.raises(KeyboardInterrupt):
+        setting.run()
+    monkeypatch.undo()
+    folder = setting.logs / "fish-swim-seed0"
+    kept = {name: (folder / name).stat().st_mtime_ns for name in ("body.npz", "gait.npz")}
+    assert not (folder / "policy.npz").exists()
+    with open_run(setting.spec, setting.logs, 0, {"gait_solver": "wave"}) as run:
+        monkeypatch.setattr(registry, "get_solver", lambda name, kind: setting.wave)
+        _ = run.surrogate
+    assert setting.wave.calls == 1
+    for name, time in kept.items():
+        assert (folder / name).stat().st_mtime_ns == time
+
+
+def test_an_unknown_planner_is_told_before_any_work(tmp_path, capfd):
+    argv = ["run", "fish-swim", "--planner", "dqll", "--logs", str(tmp_path), "--quiet"]
+    assert cli.main(argv) == 1
+    assert "there is no planner dqll, did you mean dql?" in capfd.readouterr().err
+    assert not (tmp_path / "fish-swim-seed0" / "body.npz").exists()
+
+
+def test_an_unknown_task_is_told_with_what_there_is(tmp_path, capfd):
+    for command in ("run", "gait", "surrogate", "planner", "evaluate", "bench", "view"):
+        assert cli.main([command, "fsh-swim", "--logs", str(tmp_path)]) == 1
+        captured = capfd.readouterr()
+        assert "there is no task fsh-swim, did you mean fish-swim?" in captured.err or (
+            command == "view" and "no screen" in captured.err
+        )
+        assert captured.out == "" and captured.err.count("\n") == 1
+
+
+def start(argv, **options):
+    """Start `defplan` in a process of its own."""
+    command = [sys.executable, "-m", "defplan_mj", *argv]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
+    )
+
+
+def test_ctrl_c_in_the_middle_of_a_stage_is_one_sentence_and_exit_code_130(tmp_path):
+    process = start(["gait", "fish-swim", "--logs", str(tmp_path)])
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith("body: finding"):
+            break
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == "" and err.splitlines()[-1] == "defplan: stopped; run it again to go on"
+    assert "Traceback" not in err
+    left = sorted(path.name for path in (tmp_path / "fish-swim-seed0").iterdir())
+    assert left == [".lock"]
+
+
+@pytest.mark.slow
+def test_ctrl_c_while_casadi_solves_keeps_the_body(tmp_path):
+    process = start(["gait", "fish-swim", "--logs", str(tmp_path)])
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith("gait:"):
+            break
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.splitlines()[-1] == "defplan: stopped; run it again to go on"
+    left = sorted(path.name for path in (tmp_path / "fish-swim-seed0").iterdir())
+    assert left == [".lock", "body.npz", "run.json"]
+
+
+def test_no_room_for_a_file_is_one_sentence_and_leaves_none(tmp_path):
+    mesh = registry.get_task("fish-swim").mesh
+
+    def small_files_only():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+
+    output = tmp_path / "small.npz"
+    argv = ["body", str(mesh), "-o", str(output), "--vertices", "300", "--quiet"]
+    process = start(argv, preexec_fn=small_files_only)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 1
+    assert out == "" and err.count("\n") == 1 and f"cannot write {output}" in err
+    assert os.listdir(tmp_path) == []
