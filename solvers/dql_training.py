@@ -70,7 +70,7 @@ class Recipe:
     learning_rate: float = 1e-3
     discount: float = 0.97
     n_steps: int = 3
-    target_steps: int = 200
+    target_steps: int = 500
     explore_first: float = 0.5
     explore_share: float = 0.15
     explore_range: tuple[float, float] = (0.05, 0.4)
