@@ -11,7 +11,9 @@ from defplan_mj.run import GAIT_FILE, STAGES, Run
 def run_results(run: Run) -> dict[str, Any]:
     """Do everything that is not done yet; return what `defplan run --json` prints."""
     _ = run.gait_solver, run.planner_solver  # a wrong name is told before the work, not after
-    gait, surrogate = gait_results(run), surrogate_results(run)
+    gait = gait_results(run)
+    run.compare_solvers()
+    surrogate = surrogate_results(run)
     evaluation, report = run.evaluation(), run.report()
     seconds = {name: run.seconds(name) for name in STAGES}
     logs = sorted(str(run.folder.file(n)) for n in run.hashes if n.endswith(".mcap"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from defplan_mj import files, registry, threads
+from defplan_mj.errors import DefplanError
 from defplan_mj.store import RunFolder, file_hash, read_config
 from defplan_mj.task import Progress, TaskSpec, no_progress
 from defplan_mj.trial import Recorders, evaluate
@@ -23,14 +25,24 @@ if TYPE_CHECKING:
     from defplan_mj.body.model import Body
     from defplan_mj.dynamics.reduced import ReducedDynamics
     from defplan_mj.gait.gait import Gait
+    from defplan_mj.gait.problem import GaitProblem
     from defplan_mj.planning.planner import Planner
     from defplan_mj.planning.surrogate import Surrogate
 
 STAGES = ("body", "gait", "surrogate", "planner", "evaluation")
 SWITCHING_CYCLES = 200
-GAIT_FILE, EVALUATION_FILE, REPORT_FILE = "gait.json", "evaluation.json", "report.html"
+GAIT_FILE, SOLVERS_FILE = "gait.json", "gait_solvers.json"
+EVALUATION_FILE, REPORT_FILE = "evaluation.json", "report.html"
 TRAINING_VERSION = 1
-CONFIGURATION = ("gait_solver", "planner", "pairs", "episodes", "logged")  # kept in run.json
+RIVAL = "alternating"  # the paper's scheme
+CONFIGURATION = (
+    "gait_solver",
+    "planner",
+    "rival",
+    "pairs",
+    "episodes",
+    "logged",
+)  # kept in run.json
 
 
 @dataclass(frozen=True)
@@ -40,6 +52,7 @@ class RunOptions:
     Attributes:
         seed: of everything random.
         gait_solver, planner: plugins by name (None: the task's).
+        rival: gait solver that the report compares with ('none': no other; None: `RIVAL`).
         pairs: (before, after) pairs a gait that the surrogate is fitted to.
         episodes: novel scenes of the evaluation.
         logged: how many of the novel episodes are logged, beside those of K2.
@@ -49,6 +62,7 @@ class RunOptions:
     seed: int = 0
     gait_solver: str | None = None
     planner: str | None = None
+    rival: str | None = None
     pairs: int = 1000
     episodes: int = 200
     logged: int = 4
@@ -119,18 +133,13 @@ class Run:
     def gait(self) -> Gait:
         """The task's gaits, optimised by the gait solver, and how they fare when they are switched."""
         from defplan_mj.gait.gait import Gait
-        from defplan_mj.gait.problem import GaitProblem
         from defplan_mj.gait.switching import evaluate_switching
 
         solver, spec = self.gait_solver, self.spec
         path, switching = self.folder.file("gait.npz"), self.folder.file(GAIT_FILE)
 
         def make() -> Iterable[Path]:
-            problem = GaitProblem(
-                self.dynamics, spec.gait_tasks, spec.steps_per_cycle, spec.gait_steps
-            )
-            progress = self.progress("gait")
-            gait = threads.interruptible(lambda: solver.solve(problem, self.options.seed, progress))
+            gait = self._solve(solver, "gait")
             gait.save(path)
             measured = evaluate_switching(self.dynamics, gait, SWITCHING_CYCLES, self.options.seed)
             write_json(switching, {"gait": measured.to_json()})
@@ -149,6 +158,45 @@ class Run:
         }
         self._make("gait", inputs, make)
         return Gait.load(path)
+
+    def compare_solvers(self) -> None:
+        """Let the rival gait solver solve the same problem, and measure both alike, for the report."""
+        rival = self._rival()
+        if rival is None:
+            return
+        path, other = self.folder.file(SOLVERS_FILE), self.folder.file(f"gait-{rival.name}.npz")
+        mine = self.gait
+
+        def make() -> Iterable[Path]:
+            rows = [compare(self.problem, self.gait_solver.name, mine, self.seconds("gait"))]
+            made = [path]
+            start = time.perf_counter()
+            try:
+                theirs = self._solve(rival, "gait solvers")
+            except DefplanError as error:  # the run does not depend on it
+                rows.append({"name": rival.name, "error": str(error)})
+            else:
+                seconds = time.perf_counter() - start
+                theirs.save(other)
+                made.append(other)
+                rows.append(compare(self.problem, rival.name, theirs, seconds))
+            write_json(path, {"solvers": rows})
+            return made
+
+        inputs = {"gait": self.hashes["gait.npz"], "rival": rival.name, "seed": self.options.seed}
+        self._make("gait_solvers", inputs, make)
+
+    def _rival(self) -> Any:
+        """Return the gait solver to compare with; None if there is to be none."""
+        name = self.options.rival or RIVAL
+        if name in ("none", self.gait_solver.name):
+            return None
+        try:
+            return registry.get_solver(name, "gait")
+        except DefplanError:
+            if self.options.rival:
+                raise
+            return None  # nobody asked for it by name
 
     @cached_property
     def surrogate(self) -> Surrogate:
@@ -258,6 +306,19 @@ class Run:
 
     # ---- helpers
 
+    @cached_property
+    def problem(self) -> GaitProblem:
+        """Eq. 1 for the task's body."""
+        from defplan_mj.gait.problem import GaitProblem
+
+        spec = self.spec
+        return GaitProblem(self.dynamics, spec.gait_tasks, spec.steps_per_cycle, spec.gait_steps)
+
+    def _solve(self, solver: Any, stage: str) -> Gait:
+        """Let a gait solver solve the problem; Ctrl-C is heard meanwhile."""
+        problem, seed, progress = self.problem, self.options.seed, self.progress(stage)
+        return threads.interruptible(lambda: solver.solve(problem, seed, progress))
+
     def total_seconds(self) -> float:
         """Return the wall time of all stages that this run's results are made of, s."""
         return sum(self.folder.seconds(key) for key in self._used)
@@ -333,6 +394,28 @@ def open_run(
         config["planner"] = kept.get("planner")
     with RunFolder(path, config, fresh) as folder:
         yield Run(spec, folder, options, progress)
+
+
+def compare(problem: GaitProblem, name: str, gait: Gait, seconds: float) -> dict[str, Any]:
+    """Return how a solver's gait does once it is simulated; the same measure for every solver.
+
+    Returns:
+        'name', 'seconds', 'objective' (as the solver has it), 'resimulated' (E_obj by rollouts, over
+        task sequences of our own), 'advance_m' of the first gait and 'falls', while switching.
+    """
+    from defplan_mj.gait.switching import evaluate_switching
+
+    sequences = problem.switching_sequences(np.random.default_rng(0))
+    cost = problem.objective(sequences)(w=problem.w_of(gait))["cost"]
+    switched = evaluate_switching(problem.dynamics, gait, SWITCHING_CYCLES, seed=0)
+    return {
+        "name": name,
+        "seconds": gait.meta.get("seconds", seconds),
+        "objective": gait.meta.get("objective"),
+        "resimulated": float(cost),
+        "advance_m": switched.tasks()[0]["advance_m"],
+        "falls": switched.falls,
+    }
 
 
 def write_json(path: Path, data: Any) -> None:

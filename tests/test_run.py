@@ -30,22 +30,22 @@ class Wave:
     """A gait solver that optimises nothing: a travelling wave with a bend to either side."""
 
     kind = "gait"
-    name = "wave"
     summary = "a wave"
 
-    def __init__(self):
+    def __init__(self, name="wave"):
+        self.name = name
         self.calls = 0
 
     def solve(self, problem, seed, progress=no_progress):
         self.calls += 1
         progress("gait: waving", 0.5)
         body = problem.dynamics.body
-        alpha = np.zeros((3, 2, body.n_modes))
+        alpha = np.zeros((3, problem.elements, body.n_modes))
         alpha[:, 0, :2] = 0.2 * body.amplitude[:2]
         alpha[:, 1, 0] = 0.3 * np.array([0.0, 1.0, -1.0]) * body.amplitude[0]
         beta = np.zeros_like(alpha)
         beta[:, 0] = 1.0
-        mu = np.zeros((2, body.n_modes))
+        mu = np.zeros((problem.elements, body.n_modes))
         mu[0, 1] = np.pi / 2
         return Gait(
             body_hash=body.hash,
@@ -108,7 +108,7 @@ class Setting:
         whole = options.pop("whole", True)
         fresh = options.pop("fresh", False)
         seed = options.pop("seed", 0)
-        chosen = {"pairs": 12, "episodes": 3, "logged": 1, **options}
+        chosen = {"rival": "none", "pairs": 12, "episodes": 3, "logged": 1, **options}
         with open_run(self.spec, self.logs, seed, chosen, whole=whole, fresh=fresh) as run:
             results = run_results(run)
         return results, (self.wave.calls - before[0], self.stubborn.calls - before[1])
@@ -126,7 +126,7 @@ def setting(tmp_path, monkeypatch):
         planner="stubborn",
     )
     wave, stubborn = Wave(), Stubborn()
-    plugins = {"wave": wave, "stubborn": stubborn, "other": stubborn}
+    plugins = {"wave": wave, "rival": Wave("rival"), "stubborn": stubborn, "other": stubborn}
     monkeypatch.setattr(registry, "get_solver", lambda name, kind: plugins[name])
     monkeypatch.setattr(registry, "get_task", lambda name: spec)
     return Setting(spec, wave, stubborn, tmp_path / "logs")
@@ -211,6 +211,17 @@ def test_a_second_planner_keeps_the_gaits_and_lies_beside_the_first(setting, sho
     assert made == (0, 1)
     assert os.path.basename(results["files"]["policy"]) == "policy-other.npz"
     assert (setting.logs / "fish-swim-seed0" / "policy.npz").is_file()
+
+
+def test_the_rival_gait_solver_is_measured_like_the_chosen_one(setting, short_report):
+    setting.run(rival="rival")
+    rows = json.loads((setting.logs / "fish-swim-seed0" / "gait_solvers.json").read_text())[
+        "solvers"
+    ]
+    assert [row["name"] for row in rows] == ["wave", "rival"]
+    for name in ("resimulated", "advance_m", "falls"):  # the same gait: the same figures
+        assert rows[0][name] == rows[1][name]
+    assert np.isfinite(rows[0]["resimulated"])
 
 
 def test_fresh_makes_everything_anew_with_the_same_result(setting, short_report):

@@ -71,6 +71,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     chosen = {
         "gait_solver": arguments.gait_solver,
         "planner": arguments.planner,
+        "rival": arguments.rival,
         "pairs": arguments.pairs,
         "episodes": arguments.episodes,
     }

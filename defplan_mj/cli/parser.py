@@ -86,6 +86,11 @@ def _run(sub: argparse.ArgumentParser) -> None:
     _stage(sub)
     sub.add_argument("--gait-solver", metavar="NAME", help="(default: the task's)")
     sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
+    sub.add_argument(
+        "--rival",
+        metavar="NAME",
+        help="gait solver that the report compares with (default: alternating; none: do not)",
+    )
     sub.add_argument("--pairs", type=_count, metavar="N", help="for the surrogate (default: 1000)")
     sub.add_argument("--episodes", type=_count, metavar="N", help="novel scenes (default: 200)")
     _common(sub)
