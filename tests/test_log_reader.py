@@ -92,8 +92,8 @@ def test_a_flipped_bit_in_the_data_is_found(whole, tmp_path):
     ("content", "message"),
     [
         (b"solid fish", "is not an MCAP log"),
-        (b"", "is cut at byte 0, before its first step"),
-        (b"\x89MCAP0\r\n", "is cut at byte 8, before its first step"),
+        (b"", r"holds no step of its episode \(cut at byte 0\)"),
+        (b"\x89MCAP0\r\n", r"holds no step of its episode \(cut at byte 8\)"),
     ],
 )
 def test_what_is_no_log_is_one_sentence(tmp_path, content, message):

@@ -251,7 +251,7 @@ def _in_order(path: Path, found: _Contents) -> EpisodeLog:
     if identity is None:
         if found.fault.startswith(("cut", "damaged")):
             raise DefplanError(
-                f"log {path} is {found.fault}, before its first step: record it anew"
+                f"log {path} holds no step of its episode ({found.fault}): record it anew"
             )
         raise DefplanError(f"{path} is an MCAP file, but not a log of this program")
     if identity.get("format") != str(schemas.FORMAT_VERSION):
@@ -266,7 +266,9 @@ def _in_order(path: Path, found: _Contents) -> EpisodeLog:
     }
     states = numbers.get(schemas.STATE, {})
     if not states or schemas.CONFIGURATION_RECORD not in found.metadata:
-        raise DefplanError(f"log {path} is {found.fault}, before its first step: record it anew")
+        raise DefplanError(
+            f"log {path} holds no step of its episode ({found.fault}): record it anew"
+        )
     configuration = json.loads(found.metadata[schemas.CONFIGURATION_RECORD]["json"])
     scene = configuration.pop("scene")
     arrays = {k: np.array(scene[k], float) for k in ("target", "centres", "radii", "velocities")}
