@@ -214,12 +214,13 @@ class GaitProblem:
             + self.weights.sharpness * ca.sumsqr(beta) / beta.numel()
         )
 
-    def switching_sequences(
-        self, rng: np.random.Generator, count: int | None = None
-    ) -> list[list[int]]:
-        """Return `count` (default K) task sequences of a trajectory's length, every transition as often."""
-        count = count or self.n_tasks
-        return [balanced_sequence(self.n_tasks, self.cycles, rng) for _ in range(count)]
+    def switching_sequences(self, rng: np.random.Generator, count: int = 2) -> list[list[int]]:
+        """Return `count` task sequences of K N_1 steps in all, every transition about as often.
+
+        The paper has a trajectory a task; an even number of longer ones keeps two threads busy.
+        """
+        length = max(2, self.n_tasks * self.cycles // count)
+        return [balanced_sequence(self.n_tasks, length, rng) for _ in range(count)]
 
     # --- results
 

@@ -14,9 +14,15 @@ typedef long long Int; /* casadi_int */
 enum { N_SLOTS = 64 };
 enum { STATE, SHAPES, STATES, JAC_X, JAC_U, N_DIMENSIONS }; /* kinds of arguments */
 
+/* ipopt asks for a value and then for a gradient at the same point: the last few rollouts are kept. */
+enum { N_KEPT = 4 };
+
 typedef struct {
   atomic_int references; /* 0: free, -1: being filled or emptied */
-  double* memory;        /* blob, then par */
+  double* memory;        /* blob, par, kept rollouts */
+  double* kept;          /* N_KEPT of (x0, u, x); NULL for single steps */
+  int n_kept, oldest;
+  atomic_flag busy; /* guards the kept rollouts; who finds it set does without them */
   const double *blob, *par;
   int steps, r, nx;
   Int dense[N_DIMENSIONS][3]; /* rows, columns, 1: CasADi's short form of a dense pattern */
@@ -29,7 +35,8 @@ int dp_slot_open(const double* blob, size_t n, const double* par, int steps) {
     Slot* s = slots + i;
     int unused = 0;
     if (!atomic_compare_exchange_strong(&s->references, &unused, -1)) continue;
-    s->memory = malloc((n + DP_N_PAR) * sizeof(double));
+    const size_t r = (size_t)blob[3], nx = 13 + 2 * r, kept = steps > 1 ? nx + (r + nx) * steps : 0;
+    s->memory = malloc((n + DP_N_PAR + N_KEPT * kept) * sizeof(double));
     if (!s->memory) {
       atomic_store(&s->references, 0);
       return -3;
@@ -37,6 +44,8 @@ int dp_slot_open(const double* blob, size_t n, const double* par, int steps) {
     memcpy(s->memory, blob, n * sizeof(double));
     memcpy(s->memory + n, par, DP_N_PAR * sizeof(double));
     s->blob = s->memory, s->par = s->memory + n;
+    s->kept = kept ? s->memory + n + DP_N_PAR : NULL, s->n_kept = s->oldest = 0;
+    atomic_flag_clear(&s->busy);
     s->steps = steps, s->r = (int)blob[3], s->nx = 13 + 2 * s->r;
     const Int sizes[N_DIMENSIONS][2] = {
         {s->nx, 1}, {s->r, steps}, {s->nx, steps}, {s->nx, s->nx}, {s->nx, s->r}};
@@ -103,10 +112,34 @@ static const double* shapes(const Slot* s, const double** arg, double* w) {
   return arg[1] ? arg[1] : u;
 }
 
-static int evaluate(const Slot* s, const double** arg, double** res, double* w) {
-  read(arg[0], s->nx, w);
-  if (dp_rollout(s->blob, s->par, s->steps, shapes(s, arg, w), w, NULL)) return 1;
-  write(w + s->nx, (size_t)s->steps * s->nx, res[0]);
+/* The states of a kept rollout from w (x0) under u, or NULL. */
+static const double* find(const Slot* s, const double* w, const double* u) {
+  const size_t nx = s->nx, nu = (size_t)s->steps * s->r, size = nx + nu + nx * s->steps;
+  for (int i = 0; i < s->n_kept; i++) {
+    const double* kept = s->kept + i * size;
+    if (!memcmp(kept, w, nx * sizeof(double)) && !memcmp(kept + nx, u, nu * sizeof(double))) return kept + nx + nu;
+  }
+  return NULL;
+}
+
+static int evaluate(Slot* s, const double** arg, double** res, double* w) {
+  const size_t nx = s->nx, nu = (size_t)s->steps * s->r, n = nx * s->steps;
+  const double* u = shapes(s, arg, w);
+  read(arg[0], nx, w);
+  if (s->kept && !atomic_flag_test_and_set(&s->busy)) {
+    const double* x = find(s, w, u);
+    if (x) write(x, n, res[0]);
+    atomic_flag_clear(&s->busy);
+    if (x) return 0;
+  }
+  if (dp_rollout(s->blob, s->par, s->steps, u, w, NULL)) return 1;
+  if (s->kept && !atomic_flag_test_and_set(&s->busy)) {
+    double* kept = s->kept + s->oldest * (nx + nu + n);
+    write(w, nx, kept), write(u, nu, kept + nx), write(w + nx, n, kept + nx + nu);
+    s->oldest = (s->oldest + 1) % N_KEPT, s->n_kept += s->n_kept < N_KEPT;
+    atomic_flag_clear(&s->busy);
+  }
+  write(w + nx, n, res[0]);
   return 0;
 }
 

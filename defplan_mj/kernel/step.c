@@ -36,7 +36,7 @@ typedef struct {
   double *scratch, *scratch_lagged; /* kinematics */
   double *P, *W;                    /* 9 x kp */
   double *before, *area, *cn, *ct;  /* 3 np, 3 np, np, np: lagged drag quantities */
-  double *body_points, *w, *f, *D;  /* r x 3 np, 3 np, 3 np, 6 np */
+  double *body_points, *w, *f, *D;  /* (1 + r) x 3 np, 3 np, 3 np, 6 np */
   double *Jq, *DJ;                  /* r x 3 np */
   double *gzeta, *Wg;               /* kp, 9 x kp */
   double energy, g[MAX_N], H[MAX_N * MAX_N];
@@ -44,7 +44,7 @@ typedef struct {
 
 static size_t work_size(const Body* b) {
   size_t kp = b->kp, np = b->np, r = b->r, k3 = kinematics_scratch(b);
-  return PAD + 3 * (1 + r) * kp + 2 * (k3 + PAD) + 9 * kp * 2 + 3 * np * 2 + 2 * np + 3 * np * (2 + r) + 6 * np +
+  return PAD + 3 * (1 + r) * kp + 2 * (k3 + PAD) + 9 * kp * 2 + 3 * np * 2 + 2 * np + 3 * np * (3 + r) + 6 * np +
          2 * (r * 3 * np) + kp + 9 * kp;
 }
 
@@ -58,7 +58,7 @@ static void work_init(Work* w, double* memory, const Body* b, const double* par,
   w->P = take(&arena, 9 * kp), w->W = take(&arena, 9 * kp);
   w->before = take(&arena, 3 * np), w->area = take(&arena, 3 * np);
   w->cn = take(&arena, np), w->ct = take(&arena, np);
-  w->body_points = take(&arena, r * 3 * np), w->w = take(&arena, 3 * np), w->f = take(&arena, 3 * np);
+  w->body_points = take(&arena, (1 + r) * 3 * np), w->w = take(&arena, 3 * np), w->f = take(&arena, 3 * np);
   w->D = take(&arena, 6 * np);
   w->Jq = take(&arena, r * 3 * np), w->DJ = take(&arena, r * 3 * np);
   w->gzeta = take(&arena, kp), w->Wg = take(&arena, 9 * kp);
@@ -251,7 +251,7 @@ static void assemble(Work* w) {
   }
 
   if (np && w->par[DP_FLUID_DENSITY] != 0) {
-    field_apply(b, b->points, 1, zeta, np, w->body_points);
+    field_apply(b, b->points, 1 + r, zeta, np, w->body_points); /* points, then their modal derivatives */
     rotate(R, w->body_points, np, w->w);
     e += drag(w);
     const double *restrict D = w->D, *restrict p = w->w, *restrict f = w->f;
@@ -280,10 +280,9 @@ static void assemble(Work* w) {
       for (int i = 0; i < 3; i++) H[i * n + 3 + m] += sum(DJ + i * np, np);
       for (int i = 0; i <= m; i++) H[(3 + i) * n + 3 + m] += torque_row[i];
     }
-    field_apply(b, b->points, r, dz, np, w->body_points);
     for (int c = 0; c < r; c++) {
       double *Jc = w->Jq + c * 3 * np, *DJc = w->DJ + c * 3 * np;
-      rotate(R, w->body_points + c * 3 * np, np, Jc);
+      rotate(R, w->body_points + (1 + c) * 3 * np, np, Jc);
       apply_drag_matrix(D, Jc, np, DJc);
       double torque_row[3], bend[3];
       sum_cross(p, DJc, np, torque_row), sum_cross(Jc, f, np, bend);
