@@ -39,10 +39,11 @@ def test_a_log_replays_to_the_bit_in_kernel_and_mujoco(path):
     assert json.loads(json.dumps(result.to_json(), allow_nan=False))["identical"] is True
 
 
-def test_the_body_did_swim(path):
+def test_the_body_did_move(path):
+    # else the tests below would compare standing still with standing still
     states = read_log(path).states
-    assert np.linalg.norm(states[-1, :3]) > 0.02
-    assert np.abs(states[:, 7:10]).max() > 0.1
+    assert np.ptp(states[:, :3], axis=0).max() > 1e-3
+    assert np.ptp(states[:, 7:10], axis=0).max() > 0.1
 
 
 def test_a_single_flipped_bit_is_found_at_its_step(path):

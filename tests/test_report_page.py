@@ -94,7 +94,6 @@ def run(tmp_path_factory):
     solver = {"name": "alternating", "objective": 1.25, "resimulated": 1.5, "seconds": 44.0}
     solver |= {"advance_m": 0.55, "falls": 7}
     switching = {"gait": {"tasks": [switched], "switching": {"cycles": 200, "falls": 3}}}
-    switching["solvers"] = [solver]
     config = {
         "task": "fish-swim",
         "seed": 3,
@@ -105,6 +104,7 @@ def run(tmp_path_factory):
     documents = {
         "evaluation": evaluation,
         "gait": switching,
+        "gait_solvers": {"solvers": [solver, {"name": "other", "error": "it gave up"}]},
         "run": {"config": config, "versions": {"mujoco": "3.17.0"}, "seconds": seconds},
     }
     for name, document in documents.items():
@@ -164,6 +164,7 @@ def test_figures_of_the_run_are_in_the_page(page):
 def test_gait_solvers_stand_side_by_side(page):
     text = " ".join(page.text["gaits"].split())
     assert "alternating 1.250 1.500 44.0 0.550 7" in text
+    assert "Solver other failed: it gave up." in text
 
 
 def test_the_page_says_how_it_was_made(page):

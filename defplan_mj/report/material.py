@@ -88,10 +88,9 @@ class Material:
         """The gait solvers on the same problem, one entry a solver; empty if not compared.
 
         'name', 'objective' (its own), 'resimulated' (the same objective, simulated again),
-        'seconds', 'advance_m' and 'falls' (while switching).
+        'seconds', 'advance_m' and 'falls' (while switching); or 'name' and 'error'.
         """
-        documents = (self.documents.get(name, {}) for name in ("gait", "gait_solvers"))
-        found: Any = next((d["solvers"] for d in documents if "solvers" in d), [])
+        found = self.documents.get("gait_solvers", {}).get("solvers")
         return found if isinstance(found, list) else []
 
     @property

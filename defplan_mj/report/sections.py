@@ -161,6 +161,8 @@ def _gait_tables(material: Material) -> list[Block]:
             "cycle while gaits are switched, and the cycles that tilt or go backwards."
         )
         blocks.append(Table(columns, solvers, caption))
+        failed = [solver for solver in material.solvers if "error" in solver]
+        blocks += [Missing(f"Solver {s['name']} failed: {s['error']}.") for s in failed]
     else:
         blocks.append(Missing("The gait solvers were not compared in this run."))
     return blocks
@@ -237,7 +239,9 @@ def time_section(material: Material) -> Section:
     for stage, spent in seconds.items():
         hours = theirs.get(stage)
         ratio = f"{3600 * hours / spent:.0f}×" if hours and spent else "–"
-        rows.append([stage, duration(spent), f"{hours:g} h" if hours else "–", ratio])
+        rows.append(
+            [stage.replace("_", " "), duration(spent), f"{hours:g} h" if hours else "–", ratio]
+        )
     rows.append(["total", duration(sum(seconds.values())), "–", "–"])
     section.blocks.append(
         Table(
