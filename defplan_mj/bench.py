@@ -126,7 +126,10 @@ class Kernel:
     def _along(self, call: Any, arrays: tuple[np.ndarray | None, ...], n: int) -> Timing:
         """Time `call(blob, par, row i of each 2D array...)` for i < n."""
         addresses = [
-            [None if a is None else a[i].ctypes.data if a.ndim == 2 else a.ctypes.data for i in range(n)]
+            [
+                None if a is None else a[i].ctypes.data if a.ndim == 2 else a.ctypes.data
+                for i in range(n)
+            ]
             for a in arrays
         ]
         rows = list(zip(*addresses, strict=True))
@@ -330,9 +333,7 @@ def _flex(body: Body, timestep: float, steps: int) -> dict[str, float]:
     return flex_step_ms(body, timestep, steps)
 
 
-def _full_fem(
-    body: Body, timestep: float, gait: Gait, repeats: int, progress: Progress
-) -> Timing:
+def _full_fem(body: Body, timestep: float, gait: Gait, repeats: int, progress: Progress) -> Timing:
     """Time f along the same gait, from rest; it swells over a cycle, since f has no way to clip it."""
     fem = FullFem(body, timestep)
     before = now = fem.shape(np.zeros(body.n_modes))

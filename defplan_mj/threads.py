@@ -50,7 +50,9 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-_abandoned: list[threading.Event] = []  # not the threads: a `join` that is interrupted calls them dead
+_abandoned: list[
+    threading.Event
+] = []  # not the threads: a `join` that is interrupted calls them dead
 
 
 def interruptible(work: Callable[[], _Result]) -> _Result:

@@ -70,7 +70,9 @@ def test_an_archive_with_a_flipped_byte_is_refused_or_equal(archive):
 def test_another_kind_or_version_is_named(archive):
     with pytest.raises(DefplanError, match="is a thing file, not a body file"):
         files.load_archive(archive, "body", 1)
-    with pytest.raises(DefplanError, match="has thing format 1, this version reads 2: make it anew"):
+    with pytest.raises(
+        DefplanError, match="has thing format 1, this version reads 2: make it anew"
+    ):
         files.load_archive(archive, "thing", 2)
 
 
