@@ -20,7 +20,9 @@ class ReducedDynamics:
     thread-safe and release the GIL.
     """
 
-    def __init__(self, body: Body, timestep: float = 0.04, tolerance: float = 1e-7, max_newton: int = 60):
+    def __init__(
+        self, body: Body, timestep: float = 0.04, tolerance: float = 1e-7, max_newton: int = 60
+    ):
         self.body = body
         self.blob = pack_body(body)
         self.par = pack_options(body, timestep, tolerance, max_newton)

@@ -23,7 +23,12 @@ class Info(ctypes.Structure):
 class Geom(ctypes.Structure):
     """dp_geom: MuJoCo's geom type, size (3), position (3), orientation (9, row-major)."""
 
-    _fields_ = [("type", c_int), ("size", c_double * 3), ("pos", c_double * 3), ("mat", c_double * 9)]
+    _fields_ = [
+        ("type", c_int),
+        ("size", c_double * 3),
+        ("pos", c_double * 3),
+        ("mat", c_double * 9),
+    ]
 
 
 _array = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
@@ -40,7 +45,9 @@ def kernel() -> ctypes.CDLL:
     try:
         lib = ctypes.CDLL(str(PATH))
     except OSError as error:
-        raise DefplanError(f"the compiled kernel {PATH} is missing: reinstall defplan with a C compiler") from error
+        raise DefplanError(
+            f"the compiled kernel {PATH} is missing: reinstall defplan with a C compiler"
+        ) from error
     a, p = _array, _pointer
     signatures = {
         "dp_check": (c_int, [a, c_size_t]),

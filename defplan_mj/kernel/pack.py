@@ -30,21 +30,35 @@ def pack_body(body: Body) -> np.ndarray:
         DefplanError: the body is larger than the kernel's fixed work memory.
     """
     n_samples, _, r = body.feature_map.shape
-    sizes = {"modes": r, "basis": body.n_basis, "samples": n_samples, "patches": len(body.patch_areas)}
+    sizes = {
+        "modes": r,
+        "basis": body.n_basis,
+        "samples": n_samples,
+        "patches": len(body.patch_areas),
+    }
     for name, size in sizes.items():
         if size > LIMITS[name]:
-            raise DefplanError(f"the body has {size} {name}, the kernel takes at most {LIMITS[name]}")
+            raise DefplanError(
+                f"the body has {size} {name}, the kernel takes at most {LIMITS[name]}"
+            )
     # samples innermost: the kernel works on eight at a time
-    weights = np.zeros((body.n_basis + 1, 9, n_samples))
-    weights[1:] = body.feature_weights.reshape(-1, n_samples, 9).transpose(0, 2, 1)
-    weights = _pad(_pad(weights, 2), 0).reshape(-(-(body.n_basis + 1) // PAD) * PAD, -1)
+    by_sample = np.zeros((body.n_basis + 1, 9, n_samples))
+    by_sample[1:] = body.feature_weights.reshape(-1, n_samples, 9).transpose(0, 2, 1)
+    padded = _pad(_pad(by_sample, 2), 0)
+    weights = padded.reshape(len(padded), -1)
     trace = np.einsum("aii->a", body.moments[0])
     # zeta^T tr(S) zeta with an orthonormal basis: S_00 + 2 sum_a S_0a z_a + |z|^2; entry 0 completes z_0 = 1.
-    orthonormality = np.abs(np.einsum("abii->ab", body.moments)[1:, 1:] - np.eye(body.n_basis)).max()
+    orthonormality = np.abs(
+        np.einsum("abii->ab", body.moments)[1:, 1:] - np.eye(body.n_basis)
+    ).max()
     if orthonormality > 1e-9:
-        raise DefplanError(f"the displacement basis is not mass-orthonormal (error {orthonormality:.1e})")
+        raise DefplanError(
+            f"the displacement basis is not mass-orthonormal (error {orthonormality:.1e})"
+        )
     trace[0] = 0.5 * (trace[0] - 1.0)
-    surface = np.concatenate([body.vertices[body.surface][:, :, None], body.basis[body.surface]], axis=2)
+    surface = np.concatenate(
+        [body.vertices[body.surface][:, :, None], body.basis[body.surface]], axis=2
+    )
     sections = [
         _pad(body.stiffness, 0),
         _pad(body.feature_map.transpose(1, 2, 0), 2),
@@ -67,7 +81,9 @@ def pack_body(body: Body) -> np.ndarray:
     return np.concatenate([header, *(np.ascontiguousarray(s).ravel() for s in sections)])
 
 
-def pack_options(body: Body, timestep: float, tolerance: float = 1e-7, max_newton: int = 60) -> np.ndarray:
+def pack_options(
+    body: Body, timestep: float, tolerance: float = 1e-7, max_newton: int = 60
+) -> np.ndarray:
     """Return the kernel's options (kernel.h: DP_*) for `body` at `timestep` (s).
 
     `tolerance` bounds the last Newton step that is still followed by no other (m, rad, units of q);
