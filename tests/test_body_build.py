@@ -12,6 +12,7 @@ from body_meshes import bar, pill
 
 from defplan_mj.body.build import build_body, mode_scales
 from defplan_mj.body.check import placed_vertices, reconstruction_error, reduced_vertices
+from defplan_mj.body.drag import surface_clusters
 from defplan_mj.body.model import Body, Material
 from defplan_mj.body.rotation_strain import RotationStrain, feature_map
 from defplan_mj.body.tetmesh import TetMesh, boundary
@@ -84,7 +85,7 @@ def test_reduction_follows_the_exact_map_over_the_amplitudes(body):
     error = reconstruction_error(body, samples=60, seed=7)
     assert error["relative_rms"] < 0.05
     assert error["basis_relative_rms"] <= error["relative_rms"]
-    assert 0.8 < error["volume_ratio_min"] <= error["volume_ratio_max"] < 1.1
+    assert 0.6 < error["volume_ratio_min"] <= error["volume_ratio_max"] < 1.1
     exact = RotationStrain(TetMesh(body.vertices, body.tetrahedra), body.vertex_mass, body.modes)
     q = np.array([[0.4, -0.3, 0.2, 0.5]])
     distance = reduced_vertices(body, q)[0] - body.vertices - exact.displacement(q)[0]
@@ -112,11 +113,17 @@ def test_patches_close_the_surface_and_ride_on_the_body(body):
     assert np.linalg.norm(moved - field[nearest], axis=1).max() < 0.5 * np.abs(field).max()
 
 
-def test_patches_of_a_symmetric_body_come_in_mirrored_pairs(body):
-    centres = body.patch_points[:, :, 0]
-    mirrored = centres * [1, -1, 1]
-    gap = np.linalg.norm(centres[:, None] - mirrored[None], axis=2).min(1)
-    assert np.median(gap) < 0.02 * body.length
+def test_clusters_of_a_symmetric_surface_come_in_mirrored_pairs():
+    surface = pill(3)
+    centre, vector = surface.triangles_center, surface.area_faces[:, None] * surface.face_normals
+    labels = surface_clusters(
+        centre, vector, np.zeros((len(centre), 3, 0)), 20, np.random.default_rng(0)
+    )
+    assert labels.max() == 19
+    means = np.stack([centre[labels == i].mean(0) for i in range(20)])
+    gap = np.linalg.norm(means[:, None] - (means * [1, -1, 1])[None], axis=2).min(1)
+    assert gap.max() < 0.01  # triangles astride the plane belong to one side
+    assert np.abs(means[:, 1]).min() > 0.01  # none sits astride
 
 
 def test_rebuilding_gives_the_same_bits(body, mesh_file):

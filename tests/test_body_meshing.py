@@ -17,6 +17,7 @@ from defplan_mj.body.tetmesh import (
     face_pieces,
     lumped_mass,
     quality,
+    split_longest_edges,
     volumes,
 )
 from defplan_mj.errors import DefplanError
@@ -51,8 +52,7 @@ def test_fish_has_2118_vertices_and_keeps_its_thin_fins():
     # volume of the tail fin alone, thinner than a lattice cell: exact by cutting the surface
     x = mesh.vertices[mesh.tetrahedra].mean(1)[:, 0]
     whole = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    points, _, _ = spread_points(surface, 0.01)
-    assert points[:, 0].min() == pytest.approx(mesh.vertices[:, 0].min(), abs=0.015)
+    assert mesh.vertices[:, 0].min() == pytest.approx(-0.5, abs=0.015)
     tail = _volume_behind(whole, -0.4)
     assert tets[x < -0.4].sum() == pytest.approx(tail, rel=0.05)
 
@@ -88,6 +88,36 @@ def test_box_aligned_with_the_lattice_is_filled_exactly():
     mesh = stuff(box.vertices, box.faces, np.full(3, 0.1), np.zeros(3))
     _check_sound(mesh)
     assert volumes(mesh.vertices, mesh.tetrahedra).sum() == pytest.approx(0.24, rel=0.02)
+
+
+def test_splitting_edges_adds_exactly_what_is_asked_and_keeps_the_mesh_whole():
+    box = bar((4, 3, 2), (1.0, 0.6, 0.3))
+    for count in (1, 7, 100):
+        finer = split_longest_edges(box, count)
+        assert len(finer.vertices) == len(box.vertices) + count
+        assert len(np.unique(finer.tetrahedra)) == len(finer.vertices)
+        sound = _check_sound(finer)
+        assert sound.is_watertight and sound.volume == pytest.approx(0.18)
+        assert volumes(finer.vertices, finer.tetrahedra).sum() == pytest.approx(0.18)
+    lengths = [trimesh.Trimesh(m.vertices, boundary(m.tetrahedra)[0]).edges_unique_length.max()
+               for m in (box, finer)]  # fmt: skip
+    assert lengths[1] < 0.8 * lengths[0]
+
+
+def test_a_plate_that_lies_askew_is_filled_as_well_as_one_along_the_axes():
+    plate = trimesh.creation.box([1.0, 0.6, 0.08])
+    plate.apply_transform(trimesh.transformations.rotation_matrix(0.7, [1, 2, 3]))
+    mesh, _ = fill(surface_of(plate), 400)
+    assert volumes(mesh.vertices, mesh.tetrahedra).sum() == pytest.approx(0.048, rel=0.05)
+    assert quality(mesh.vertices, mesh.tetrahedra).min() > 0.1
+    np.testing.assert_allclose(np.ptp(mesh.vertices, 0), np.ptp(plate.vertices, 0), rtol=0.08)
+
+
+def test_count_is_met_on_a_box_along_the_axes_where_whole_layers_come_and_go():
+    box = surface_of(trimesh.creation.box([1.0, 0.4, 0.3]))
+    mesh, _ = fill(box, 350)
+    assert abs(len(mesh.vertices) - 350) <= 2
+    assert quality(mesh.vertices, mesh.tetrahedra).min() > 0.1
 
 
 def test_a_ring_stays_a_ring():
@@ -141,10 +171,20 @@ def test_closest_points_agree_with_dense_sampling():
     np.testing.assert_allclose(distance, least, atol=0.02)
 
 
-def test_spread_points_cover_the_area():
-    surface = surface_of(pill(2))
-    _, _, areas = spread_points(surface, 0.03)
-    assert areas.sum() == pytest.approx(surface.area)
+def test_spread_points_lie_on_the_surface_and_give_every_part_its_share():
+    box = surface_of(trimesh.creation.box([1.0, 0.5, 0.02]))  # two long thin triangles a side
+    points, normals = spread_points(box, 4000)
+    half = np.array([0.5, 0.25, 0.01])
+    side = np.abs(normals).argmax(1)
+    rows = np.arange(4000)
+    np.testing.assert_allclose(points[rows, side], (normals * half)[rows, side], atol=1e-12)
+    assert (np.abs(points) <= half + 1e-12).all()
+    for axis in range(3):
+        share = 2.0 * np.delete(2.0 * half, axis).prod() / box.area
+        assert (side == axis).mean() == pytest.approx(share, abs=0.002)
+    top = points[(side == 2) & (normals[:, 2] > 0)]
+    cells = np.histogram2d(top[:, 0], top[:, 1], bins=8)[0]
+    assert cells.min() > 0.6 * cells.mean()  # no holes: at random it would be 0.4
 
 
 def test_masses_and_quality_of_known_meshes():

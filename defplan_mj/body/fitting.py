@@ -20,6 +20,7 @@ _SAMPLES_PER_FACE = 6
 _NEIGHBOURS = 8  # boundary triangles looked at for each sample
 _SMOOTHNESS = 0.5  # of the boundary (umbrella operator)
 _BACK = 0.2  # pull of boundary vertices back to the surface
+_R2 = np.array([0.7548776662466927, 0.5698402909980532])  # 1/g, 1/g^2 with g^3 = g + 1
 _STIFFNESS = (
     1.0,
     0.5,
@@ -34,24 +35,23 @@ _STIFFNESS = (
 )  # of the graph Laplacian, one a round
 
 
-def spread_points(surface: Surface, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return points (s, 3) on the surface about `spacing` apart, their normals and areas (s,)."""
+def spread_points(surface: Surface, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return `count` points (s, 3) on the surface, each for the same share of it, and normals.
+
+    Points follow each other at equal areas through the triangles; within them a low-discrepancy
+    sequence (Roberts' R2) places them.
+    """
     a, b, c = (surface.vertices[surface.faces[:, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
     double = np.linalg.norm(normal, axis=1)
-    longest = np.sqrt(np.max([((p - q) ** 2).sum(1) for p, q in ((a, b), (b, c), (c, a))], axis=0))
-    pieces = np.ceil(longest / spacing).astype(int)
-    points, normals, areas = [], [], []
-    for n in np.unique(pieces):
-        own = np.flatnonzero((pieces == n) & (double > 0.0))
-        # centroids of the n^2 similar triangles each triangle splits in
-        up = [(i + 1 / 3, j + 1 / 3) for i in range(n) for j in range(n - i)]
-        down = [(i + 2 / 3, j + 2 / 3) for i in range(n) for j in range(n - 1 - i)]
-        for u, v in np.array(up + down) / n:
-            points.append(a[own] + u * (b - a)[own] + v * (c - a)[own])
-            normals.append(normal[own] / double[own, None])
-            areas.append(double[own] / (2.0 * n * n))
-    return np.concatenate(points), np.concatenate(normals), np.concatenate(areas)
+    reach = np.cumsum(double)
+    index = np.arange(count)
+    face = np.searchsorted(reach, (index + 0.5) / count * reach[-1], side="right")
+    u, v = (index[:, None] * _R2 + 0.5).T % 1.0
+    fold = u + v > 1.0
+    u, v = np.where(fold, 1.0 - u, u)[:, None], np.where(fold, 1.0 - v, v)[:, None]
+    points = a[face] + u * (b - a)[face] + v * (c - a)[face]
+    return points, normal[face] / double[face, None]
 
 
 def closest_on_triangles(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -101,16 +101,17 @@ def fit_boundary(mesh: TetMesh, surface: Surface, least_quality: float = 0.2) ->
     umbrella = sp.diags(1.0 / np.maximum(umbrella.diagonal(), 1.0)) @ umbrella
     bending = _SMOOTHNESS * (umbrella.T @ umbrella)
 
-    spacing = 1.5 * (surface.area / (_SAMPLES_PER_FACE * len(faces))) ** 0.5
-    points, normals, areas = spread_points(surface, spacing)
-    weight = sp.diags(areas / (areas.sum() / len(rim)))  # a boundary vertex owns 1 on average
+    count = _SAMPLES_PER_FACE * len(faces)
+    spacing = (surface.area / count) ** 0.5
+    points, normals = spread_points(surface, count)
+    weight = len(rim) / count  # a boundary vertex owns 1 on average
     tree = cKDTree(points)
     back = sp.csr_matrix((np.ones(len(rim)), (rim, rim)), (n, n)) * _BACK
     floor = np.minimum(quality(mesh.vertices, mesh.tetrahedra), least_quality)
     x = mesh.vertices
     for stiffness in _STIFFNESS:
         matrix = _nearest_on_boundary(x, faces, points, normals, spacing)
-        pull = (matrix.T @ weight).tocsr()
+        pull = (weight * matrix.T).tocsr()
         home = np.zeros_like(x)
         home[rim] = _nearest_on_surface(x[rim], tree, points, normals) - x[rim]
         system = (pull @ matrix + back + bending + stiffness * laplacian).tocsc()
@@ -155,7 +156,7 @@ def _nearest_on_boundary(
     found = np.einsum("sni,snij->snj", barycentric, corners[near])
     distance = np.linalg.norm(found - points[:, None], axis=-1)
     facing = np.einsum("snj,sj->sn", unit[near], normals)
-    best = (distance + 4.0 * spacing * np.maximum(0.0, 0.2 - facing)).argmin(1)
+    best = (distance + 6.0 * spacing * np.maximum(0.0, 0.2 - facing)).argmin(1)
     rows = np.arange(len(points))
     share, columns = barycentric[rows, best], faces[near[rows, best]]
     entries = (share.ravel(), (np.repeat(rows, 3), columns.ravel()))

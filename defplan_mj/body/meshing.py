@@ -14,17 +14,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from defplan_mj.body import lattice
-from defplan_mj.body.fitting import fit_boundary
+from defplan_mj.body.fitting import fit_boundary, spread_points
 from defplan_mj.body.surface import Surface
-from defplan_mj.body.tetmesh import TetMesh, compact, face_pieces, quality, volumes
+from defplan_mj.body.tetmesh import (
+    TetMesh,
+    compact,
+    face_pieces,
+    quality,
+    split_longest_edges,
+    volumes,
+)
 from defplan_mj.errors import DefplanError
 
 # Shares of an edge within which a crossing pulls the lattice point onto the surface
 # (Labelle and Shewchuk, table 1: every dihedral angle then stays above 10.7 degrees).
 _SNAP_LONG, _SNAP_SHORT = 0.24999, 0.41189
-_COMPRESSIONS = (0.85, 0.7)  # of the lattice along one axis
+_COMPRESSIONS, _STRONGEST = (0.85, 0.7), 0.5  # of the lattice along one axis; the thinnest one
+_FEW = 0.004  # share of the vertices that may come by splitting edges without looking further
+_NEAR = 0.3  # relative error of the count from which bisection can start
 _FLATNESS = 0.05  # volume error that a loss of mean quality by 1 weighs as much as
-_MOST_POINTS = 300  # lattice points tried for each vertex wanted
+_MOST_POINTS = 150  # lattice points tried for each vertex wanted
 _MOST_LOST = 0.1  # share of the volume
 
 
@@ -179,7 +188,7 @@ def _prism(top: tuple[np.ndarray, ...], bottom: tuple[np.ndarray, ...]) -> list[
 
 
 def fill(surface: Surface, vertices: int, name: str = "the mesh") -> tuple[TetMesh, np.ndarray]:
-    """Fill a surface with tetrahedra that have `vertices` vertices, within 2.
+    """Fill a surface with tetrahedra that have `vertices` vertices.
 
     Of lattices compressed along one axis or none, the one is taken that keeps most volume without
     flattening the tetrahedra much; its boundary is then fitted to the surface.
@@ -188,32 +197,30 @@ def fill(surface: Surface, vertices: int, name: str = "the mesh") -> tuple[TetMe
         name: what messages call the mesh.
 
     Returns:
-        The mesh and the (3,) edges of its lattice cell, m.
+        The mesh and the (3,) edges of its lattice cell, m (along the lattice's axes).
 
     Raises:
         DefplanError: parts of the surface are too thin for so few vertices.
     """
-    shapes = [np.ones(3)]
-    shapes += [np.where(np.arange(3) == axis, f, 1.0) for axis in range(3) for f in _COMPRESSIONS]
+    frame = _frame(surface)
+    surface = Surface(surface.vertices @ frame, surface.faces)
     volume = surface.volume
     best: tuple[float, np.ndarray, float] | None = None
-    guess = (2.0 * volume / vertices) ** (1.0 / 3.0) * 1.4
-    for shape in shapes:
-        mesh, cell = _near_count(surface, shape / shape.prod() ** (1 / 3), vertices, guess)
+    guess = 1.4 * (2.0 * volume / vertices) ** (1.0 / 3.0)
+    for shape in _cell_shapes(np.ptp(surface.vertices, axis=0)):
+        mesh, cell = _near_count(surface, shape, vertices, guess)
         if mesh is None:
             continue
         lost = abs(volumes(mesh.vertices, mesh.tetrahedra).sum() / volume - 1.0)
         score = lost + _FLATNESS * (1.0 - quality(mesh.vertices, mesh.tetrahedra).mean())
         if best is None or score < best[0]:
-            best = score, shape / shape.prod() ** (1 / 3), cell
+            best = score, shape, cell
     if best is None:
         raise DefplanError(f"{name} cannot be filled with {vertices} vertices: ask for more")
     _, shape, guess = best
     mesh, cell = _exact_count(surface, shape, vertices, guess)
     if mesh is None:
-        raise DefplanError(
-            f"{name} cannot be filled with {vertices} vertices: ask for some more or fewer"
-        )
+        raise DefplanError(f"{name} cannot be filled with {vertices} vertices: ask for some more")
     mesh = fit_boundary(mesh, surface)
     lost = 1.0 - volumes(mesh.vertices, mesh.tetrahedra).sum() / volume
     if lost > _MOST_LOST:
@@ -221,43 +228,76 @@ def fill(surface: Surface, vertices: int, name: str = "the mesh") -> tuple[TetMe
             f"{name} has parts too thin for {vertices} vertices ({100 * lost:.0f}% of its volume"
             " is lost): ask for more vertices"
         )
-    return mesh, cell * shape
+    return TetMesh(mesh.vertices @ frame.T, mesh.tetrahedra), cell * shape
 
 
-def _attempt(surface: Surface, cell: np.ndarray, shift: float) -> TetMesh:
-    """Fill the surface with a lattice centred on its box, moved by a share of a cell in x."""
+def _frame(surface: Surface) -> np.ndarray:
+    """Return the axes (3, 3, columns) of the lattice: the body's own, or its principal ones.
+
+    The principal axes are taken for bodies that lie askew: the box around them is then half as
+    large or less.
+    """
+    points, _ = spread_points(surface, 4000)
+    axes = np.linalg.svd(points - points.mean(0), full_matrices=False)[2].T
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    own, turned = (np.ptp(surface.vertices @ frame, axis=0).prod() for frame in (np.eye(3), axes))
+    return axes if turned < 0.5 * own else np.eye(3)
+
+
+def _cell_shapes(extent: np.ndarray) -> list[np.ndarray]:
+    """Return the cells to try (3,), of volume 1: a cube, and cubes compressed along one axis."""
+    shapes = [np.ones(3)]
+    for axis in range(3):
+        factors = _COMPRESSIONS + ((_STRONGEST,) if axis == extent.argmin() else ())
+        shapes += [np.where(np.arange(3) == axis, factor, 1.0) for factor in factors]
+    return [shape / shape.prod() ** (1.0 / 3.0) for shape in shapes]
+
+
+def _attempt(surface: Surface, cell: np.ndarray, shift: np.ndarray) -> TetMesh:
+    """Fill the surface with a lattice centred on its box but for a `shift` (3,), in cells."""
     centre = 0.5 * (surface.vertices.min(0) + surface.vertices.max(0))
-    centre = centre + np.array([shift * cell[0], 0.0, 0.0])
-    return stuff(surface.vertices, surface.faces, cell, centre)
+    return stuff(surface.vertices, surface.faces, cell, centre + shift * cell)
 
 
 def _near_count(
     surface: Surface, shape: np.ndarray, vertices: int, cell: float
 ) -> tuple[TetMesh | None, float]:
-    """Find a cell that gives the count within 5%, by its power law; mesh or None, cell."""
+    """Find a cell that gives about the count, by its power law: mesh (None if none), cell."""
     box = np.ptp(surface.vertices, axis=0).prod()
-    for _ in range(8):
+    nearest: tuple[float, TetMesh | None, float] = (_NEAR, None, cell)
+    for _ in range(6):
         if 2.0 * box / cell**3 > _MOST_POINTS * vertices:
             break
-        mesh = _attempt(surface, cell * shape, 0.0)
-        count = len(mesh.vertices)
-        if abs(count - vertices) <= 0.05 * vertices:
-            return mesh, cell
-        cell *= (max(count, 8) / vertices) ** (1.0 / 2.5)
-    return None, cell
+        mesh = _attempt(surface, cell * shape, np.zeros(3))
+        count = max(len(mesh.vertices), 8)
+        if abs(count / vertices - 1.0) < nearest[0]:
+            nearest = abs(count / vertices - 1.0), mesh, cell
+        if nearest[0] < 0.05:
+            break
+        cell *= (count / vertices) ** (1.0 / 2.5)
+    return nearest[1:]
 
 
 def _exact_count(
     surface: Surface, shape: np.ndarray, vertices: int, cell: float
 ) -> tuple[TetMesh | None, float]:
-    """Find a mesh with the count within 2: bisection on the cell, with the lattice moved in x."""
-    for shift in (0.0, 0.5, 0.25, 0.125, 0.375, 0.0625, 0.1875, 0.3125, 0.4375):
-        low, high = 0.85 * cell, 1.15 * cell
-        for _ in range(14):
+    """Find a mesh with exactly this count: bisection on the cell, with the lattice moved in x.
+
+    The last vertices come by splitting edges. They are few, but on a body that lies along the
+    axes, where whole layers of the lattice come and go at once and the count jumps.
+    """
+    fewer: tuple[TetMesh | None, float] = (None, cell)
+    for shift in (0.0, 0.5, 0.25, 0.125, 0.375):
+        low, high = 0.85 * cell, 1.2 * cell
+        for _ in range(12):
             middle = 0.5 * (low + high)
-            mesh = _attempt(surface, middle * shape, shift)
+            mesh = _attempt(surface, middle * shape, np.array([shift, 0.0, 0.0]))
             count = len(mesh.vertices)
-            if abs(count - vertices) <= 2:
-                return mesh, middle
+            if 0 <= vertices - count <= max(2, _FEW * vertices):
+                return split_longest_edges(mesh, vertices - count), middle
             low, high = (middle, high) if count > vertices else (low, middle)
-    return None, cell
+            if count < vertices and (fewer[0] is None or count > len(fewer[0].vertices)):
+                fewer = mesh, middle
+    if fewer[0] is None:
+        return fewer
+    return split_longest_edges(fewer[0], vertices - len(fewer[0].vertices)), fewer[1]

@@ -9,6 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+_SPLITS_AT_ONCE = 0.02  # share of the edges, before lengths are measured anew
 _FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))  # outward, for positive volume
 
 
@@ -86,3 +87,33 @@ def compact(vertices: np.ndarray, tetrahedra: np.ndarray) -> TetMesh:
     """Drop the vertices that no tetrahedron uses; the order of the others stays."""
     used, index = np.unique(tetrahedra, return_inverse=True)
     return TetMesh(vertices[used], index.reshape(tetrahedra.shape))
+
+
+def split_longest_edges(mesh: TetMesh, count: int) -> TetMesh:
+    """Add `count` vertices, each in the middle of a long edge; tetrahedra around it are halved."""
+    vertices, tetrahedra = mesh.vertices, mesh.tetrahedra
+    while count > 0:
+        pairs = np.sort(np.concatenate([tetrahedra[:, edge] for edge in _EDGES]), axis=1)
+        edges, index = np.unique(pairs, axis=0, return_inverse=True)
+        owner = np.tile(np.arange(len(tetrahedra)), len(_EDGES))
+        around = owner[np.argsort(index.ravel(), kind="stable")]
+        ends = np.cumsum(np.bincount(index.ravel()))
+        length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+        free = np.ones(len(tetrahedra), dtype=bool)
+        keep, halves = free.copy(), []
+        middles: list[np.ndarray] = []
+        for edge in np.argsort(-np.round(length / length.max(), 9), kind="stable"):
+            own = around[ends[edge - 1] if edge else 0 : ends[edge]]
+            if not free[own].all():
+                continue
+            free[own] = keep[own] = False
+            new = len(vertices) + len(middles)
+            middles.append(vertices[edges[edge]].mean(0))
+            for end in edges[edge]:
+                halves.append(np.where(tetrahedra[own] == end, new, tetrahedra[own]))
+            if len(middles) == count or len(middles) >= _SPLITS_AT_ONCE * len(edges):
+                break
+        count -= len(middles)
+        vertices = np.vstack([vertices, middles])
+        tetrahedra = np.vstack([tetrahedra[keep], *halves])
+    return TetMesh(vertices, tetrahedra)
