@@ -1,7 +1,7 @@
 """Gait solver `shooting`: CasADi's ipopt over w_dmp through the exact adjoint of the rollout.
 
-The straight task alone from a random start, then all tasks while they are switched; a few such
-starts, of which the best is finished.
+The straight task alone from random starts, then all tasks while they are switched; after each
+round only the best starts go on.
 Target shapes are bounded by the body's amplitude as constraints, not by clipping.
 """
 
@@ -35,9 +35,8 @@ class Shooting:
     Attributes:
         starts: random starts.
         start_cycles: cycles of the straight task's trajectory.
-        start_iterations: limit of ipopt for the straight task.
-        trial_iterations: limit for all tasks, from each start; the best start goes on.
-        iterations: limit for all tasks, from the best start.
+        start_iterations: limit of ipopt's iterations for the straight task.
+        rounds: (limit of iterations for all tasks, starts that go on), round after round.
         bound: of alpha and beta.
         threads: rollouts in parallel.
     """
@@ -45,11 +44,10 @@ class Shooting:
     kind: str = "gait"
     name: str = "shooting"
     summary: str = "single shooting through the exact adjoint, with CasADi and ipopt (the default)"
-    starts: int = 3
+    starts: int = 5
     start_cycles: int = 6
-    start_iterations: int = 50
-    trial_iterations: int = 40
-    iterations: int = 200
+    start_iterations: int = 40
+    rounds: tuple[tuple[int, int], ...] = ((25, 2), (50, 1), (175, 1))
     bound: float = 4.0
     threads: int = 2
 
@@ -62,29 +60,36 @@ class Shooting:
         began = time.perf_counter()
         rng = np.random.default_rng(seed)
         cost = problem.objective(problem.switching_sequences(rng), settle=1, threads=self.threads)
-        per_start = self.start_iterations + self.trial_iterations
-        total = self.starts * per_start + self.iterations
-        stages, trials = [], []
-        for start in range(self.starts):
-            trace = _Trace("gait: trying starts", progress, start * per_start, total)
+        trace = _Trace(progress, self._total_iterations())
+        trace.message = "gait: straight ahead"
+        trials = []
+        for _ in range(self.starts):
             w, stage = self._start(problem, rng, trace)
-            stages.append(stage | {"stage": f"start {start + 1}, straight task"})
-            w, stage = self._minimise(problem, cost, w, self.trial_iterations, trace)
-            stages.append(stage | {"stage": f"start {start + 1}, all tasks"})
-            trials.append((stage["objective"], w, trace.objective[-stage["iterations"] :]))
-        _, w, history = min(trials, key=lambda trial: trial[0])
-        trace = _Trace("gait: all tasks", progress, self.starts * per_start, total)
-        w, stage = self._minimise(problem, cost, w, self.iterations, trace)
-        stages.append(stage | {"stage": "best start, all tasks"})
+            trials.append(_Trial(w, (), (stage | {"stage": "straight task"},)))
+        for number, (iterations, survivors) in enumerate(self.rounds):
+            trace.message = f"gait: all tasks, round {number + 1} of {len(self.rounds)}"
+            for i, trial in enumerate(trials):
+                w, stage = self._minimise(problem, cost, trial.w, iterations, trace)
+                history = (*trial.history, *trace.objective[-stage["iterations"] :])
+                stage |= {"stage": trace.message.removeprefix("gait: ")}
+                trials[i] = _Trial(w, history, (*trial.stages, stage))
+            trials = sorted(trials, key=lambda trial: trial.stages[-1]["objective"])[:survivors]
+        best = trials[0]
         meta = {
             "solver": self.name,
             "seed": seed,
             "seconds": time.perf_counter() - began,
-            "objective": stage["objective"],
-            "history": [*history, *trace.objective],
-            "stages": stages,
+            "objective": best.stages[-1]["objective"],
+            "history": list(best.history),
+            "stages": list(best.stages),
         }
-        return problem.gait(w, meta)
+        return problem.gait(best.w, meta)
+
+    def _total_iterations(self) -> int:
+        total, trials = self.starts * self.start_iterations, self.starts
+        for iterations, survivors in self.rounds:
+            total, trials = total + trials * iterations, survivors
+        return total
 
     def _start(
         self, problem: GaitProblem, rng: np.random.Generator, trace: _Trace
@@ -171,12 +176,21 @@ class Shooting:
         }
 
 
+@dataclass(frozen=True)
+class _Trial:
+    """One start on its way: unknowns, objective of each iteration, what its stages were."""
+
+    w: np.ndarray
+    history: tuple[float, ...]
+    stages: tuple[dict, ...]
+
+
 class _Trace(ca.Callback):
     """Called by ipopt after each iteration: keeps the objective, shows progress."""
 
-    def __init__(self, message: str, progress: Progress, done: int, total: int):
+    def __init__(self, progress: Progress, total: int):
         super().__init__()
-        self.message, self.progress, self.done, self.total = message, progress, done, total
+        self.message, self.progress, self.total = "", progress, total
         self.objective: list[float] = []
         self.construct("trace", {})
 
@@ -197,7 +211,7 @@ class _Trace(ca.Callback):
 
     def eval(self, arg: list) -> list:
         self.objective.append(float(arg[ca.nlpsol_out().index("f")]))
-        self.progress(self.message, min(1.0, (self.done + len(self.objective)) / self.total))
+        self.progress(self.message, min(1.0, len(self.objective) / self.total))
         return [0]
 
 
