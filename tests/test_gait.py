@@ -1,0 +1,166 @@
+"""Gaits as data, the measure of switching, and the gait problem against independent truths."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from defplan_mj.body.model import Body
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.errors import DefplanError
+from defplan_mj.gait import switching
+from defplan_mj.gait.gait import Gait
+from defplan_mj.gait.problem import GaitProblem, balanced_sequence, lateral_share
+from defplan_mj.task import GaitTask
+
+TASKS = (
+    GaitTask("forward", speed=0.7),
+    GaitTask("left", yaw=0.8, speed=0.45),
+    GaitTask("right", yaw=-0.8, speed=0.45),
+)
+
+
+@pytest.fixture(scope="module")
+def problem(small_fish: Body) -> GaitProblem:
+    return GaitProblem(ReducedDynamics(small_fish), TASKS, steps_per_cycle=11, gait_steps=33)
+
+
+@pytest.fixture(scope="module")
+def unknowns(problem: GaitProblem) -> np.ndarray:
+    """An undulation: the lateral modes beat."""
+    rng = np.random.default_rng(3)
+    d, r, k = problem.elements, problem.dynamics.nu, problem.n_tasks
+    share = lateral_share(problem.dynamics.body)
+    alpha = 0.3 * share * rng.normal(size=(k, d, r))
+    return problem.join(rng.uniform(0, 6, (d, r)), alpha, 1 + 0.3 * rng.normal(size=(k, d, r)))
+
+
+def test_the_symbolic_dmp_is_the_papers_sum(problem: GaitProblem, unknowns: np.ndarray) -> None:
+    mu, alpha, beta = problem.split(unknowns)
+    shapes = np.array(problem.dmp(unknowns)).T.reshape(3, 11, -1)
+    tau = 2 * np.pi / (11 * problem.dynamics.timestep)
+    for task in range(3):
+        for i in range(11):
+            time = (i + 1) * problem.dynamics.timestep
+            wanted = sum(
+                alpha[task, k] * np.exp(beta[task, k] * np.cos(tau * time - mu[k]))
+                for k in range(5)
+            )
+            np.testing.assert_allclose(shapes[task, i], wanted, rtol=1e-12, atol=1e-12)
+
+
+def test_a_gaits_table_is_its_dmp_within_the_amplitude(
+    problem: GaitProblem, unknowns: np.ndarray
+) -> None:
+    gait = problem.gait(unknowns, {})
+    amplitude = problem.dynamics.body.amplitude
+    shapes = np.array(problem.dmp(unknowns)).T.reshape(3, 11, -1)
+    np.testing.assert_allclose(gait.table(), np.clip(shapes, -amplitude, amplitude), atol=1e-12)
+    np.testing.assert_array_equal(problem.w_of(gait), unknowns)
+
+
+def test_a_saved_gait_reads_back_to_the_bit(
+    problem: GaitProblem, unknowns: np.ndarray, tmp_path: Path
+) -> None:
+    gait = problem.gait(unknowns, {"solver": "none"})
+    gait.save(tmp_path / "gait.npz")
+    again = Gait.load(tmp_path / "gait.npz")
+    np.testing.assert_array_equal(again.table(), gait.table())
+    assert again.meta == gait.meta and again.task_names == gait.task_names
+    with pytest.raises(DefplanError, match="does not exist"):
+        Gait.load(tmp_path / "other.npz")
+
+
+def test_the_objective_is_the_cost_of_the_simulated_cycles(
+    problem: GaitProblem, unknowns: np.ndarray
+) -> None:
+    sequence = [0, 1, 2, 0]
+    value = float(problem.objective([sequence])(unknowns))
+    dynamics, weights = problem.dynamics, problem.weights
+    shapes = np.array(problem.dmp(unknowns)).T.reshape(3, 11, -1)
+    x = dynamics.rollout(dynamics.rest_state(), np.concatenate([shapes[j] for j in sequence]))
+    costs = []
+    for cycle in range(1, 4):  # the first cycle is not judged
+        steps = x[cycle * 11 : cycle * 11 + 12]
+        turns = Rotation.from_quat(steps[:, [4, 5, 6, 3]])
+        forward = turns.apply([1.0, 0, 0])
+        yaw = np.diff(np.unwrap(np.arctan2(forward[[0, -1], 1], forward[[0, -1], 0])))[0]
+        heading = forward[0, :2] / np.linalg.norm(forward[0, :2])
+        move = steps[-1, :3] - steps[0, :3]
+        tilt2 = 2 * (1 - turns.apply([0, 0, 1.0])[1:, 2])
+        task = TASKS[sequence[cycle]]
+        costs.append(
+            weights.yaw * (yaw - task.yaw) ** 2
+            + weights.speed * max(0, task.speed - heading @ move[:2]) ** 2
+            + weights.tilt * tilt2.mean()
+            + weights.upright * (np.maximum(0, tilt2 - np.radians(15) ** 2) ** 2).mean()
+            + weights.sink * move[2] ** 2
+        )
+    _, _, beta = problem.split(unknowns)
+    share, amplitude = lateral_share(dynamics.body), dynamics.body.amplitude
+    effort = ((shapes / amplitude) ** 2).mean((0, 1)) @ (1 - share)
+    wanted = np.mean(costs) + weights.off_plane * effort + weights.sharpness * (beta**2).mean()
+    assert value == pytest.approx(wanted, rel=1e-9)
+
+
+def test_the_objectives_gradient_is_exact(problem: GaitProblem, unknowns: np.ndarray) -> None:
+    cost = problem.objective([[0, 1, 2], [2, 1, 0]], threads=2)
+    w = ca.MX.sym("w", problem.n_w)
+    gradient = np.array(ca.Function("g", [w], [ca.gradient(cost(w), w)])(unknowns)).ravel()
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        direction = rng.normal(size=problem.n_w)
+        h = 1e-5
+        slope = (cost(unknowns + h * direction) - cost(unknowns - h * direction)) / (2 * h)
+        assert float(slope) == pytest.approx(gradient @ direction, rel=2e-5)
+
+
+def test_every_transition_is_used_about_equally_often() -> None:
+    sequence = balanced_sequence(3, 28, np.random.default_rng(1))
+    counts = np.zeros((3, 3))
+    np.add.at(counts, (sequence[:-1], sequence[1:]), 1)
+    assert counts.sum() == 27 and counts.min() >= 2
+
+
+def test_the_lateral_share_tells_sideways_bending_from_the_rest(small_fish: Body) -> None:
+    share = lateral_share(small_fish)
+    assert ((share >= 0) & (share <= 1)).all()
+    # whole-body sway along y is lateral, along z is not
+    sway = np.zeros((len(small_fish.vertices), 3, 2))
+    sway[:, 1, 0] = sway[:, 2, 1] = small_fish.vertices[:, 0]
+    np.testing.assert_allclose(
+        lateral_share(dataclasses.replace(small_fish, modes=sway)), [1, 0], atol=0.01
+    )
+
+
+def test_switching_measures_cycles_in_the_frame_of_their_start(
+    problem: GaitProblem, unknowns: np.ndarray
+) -> None:
+    gait, dynamics = problem.gait(unknowns, {}), problem.dynamics
+    measured = switching.evaluate_switching(dynamics, gait, cycles=12, seed=5)
+    x = dynamics.rollout(dynamics.rest_state(), gait.table()[measured.task].reshape(132, -1))[::11]
+    for cycle in range(12):
+        start = Rotation.from_quat(x[cycle, [4, 5, 6, 3]])
+        yaw = start.as_euler("ZYX")[0]
+        move = Rotation.from_euler("z", -yaw).apply(x[cycle + 1, :3] - x[cycle, :3])
+        np.testing.assert_allclose(move[0], measured.advance[cycle], atol=1e-12)
+        np.testing.assert_allclose(move[1], measured.drift[cycle], atol=1e-12)
+    again = switching.evaluate_switching(dynamics, gait, cycles=12, seed=5)
+    np.testing.assert_array_equal(again.yaw, measured.yaw)
+
+
+def test_a_tilted_or_backward_cycle_is_a_fall() -> None:
+    fine = {"drift": np.zeros(4), "rise": np.zeros(4), "yaw": np.zeros(4)}
+    measured = switching.Switching(
+        task_names=("a",),
+        task=np.zeros(4, int),
+        advance=np.array([-1.0, 1.0, -0.1, 1.0]),  # the first cycles start from rest
+        tilt=np.radians([0, 0, 0, 31.0]),
+        **fine,
+    )
+    assert measured.falls == 2

@@ -1,0 +1,56 @@
+"""The shooting solver makes better gaits, within bounds, and the same ones for the same seed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from defplan_mj.body.model import Body
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.gait.gait import Gait
+from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.gait.switching import evaluate_switching
+from defplan_mj.task import GaitTask
+from defplan_solvers.shooting import Shooting
+
+QUICK = Shooting(starts=2, start_iterations=15, rounds=((8, 1), (30, 1)))
+TASKS = (GaitTask("forward", speed=0.7), GaitTask("left", yaw=0.8, speed=0.45))
+
+
+@pytest.fixture(scope="module")
+def problem(small_fish: Body) -> GaitProblem:
+    return GaitProblem(ReducedDynamics(small_fish), TASKS, steps_per_cycle=11, gait_steps=88)
+
+
+@pytest.fixture(scope="module")
+def gait(problem: GaitProblem) -> Gait:
+    return QUICK.solve(problem, seed=1)
+
+
+def test_the_fish_swims_forward_and_turns_left(problem: GaitProblem, gait: Gait) -> None:
+    forward, left = evaluate_switching(problem.dynamics, gait, cycles=40).tasks()
+    assert forward["advance_m"] > 0.2
+    assert left["yaw_rad"] > 0.2
+    assert left["yaw_rad"] > forward["yaw_rad"] + 0.2
+
+
+def test_target_shapes_keep_within_the_amplitude_without_clipping(
+    problem: GaitProblem, gait: Gait
+) -> None:
+    shapes = np.array(problem.dmp(problem.w_of(gait))).T.reshape(2, 11, -1)
+    np.testing.assert_allclose(gait.table(), shapes, atol=1e-6)
+
+
+def test_the_reported_objective_is_what_the_simulation_gives(
+    problem: GaitProblem, gait: Gait
+) -> None:
+    sequences = problem.switching_sequences(np.random.default_rng(1))
+    again = float(problem.objective(sequences)(problem.w_of(gait)))
+    assert gait.meta["objective"] == pytest.approx(again, rel=1e-9)
+    assert gait.meta["objective"] < gait.meta["history"][0]
+
+
+def test_a_seed_gives_one_gait_to_the_bit(problem: GaitProblem, gait: Gait) -> None:
+    again = QUICK.solve(problem, seed=1)
+    for name in ("mu", "alpha", "beta"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(gait, name))
