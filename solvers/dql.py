@@ -6,13 +6,14 @@ The recipe is in `dql_training.py`, which is imported only to train: acting need
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from defplan_mj import files
 from defplan_mj.errors import DefplanError
+from defplan_mj.planning.loops import LoopBreaker
 from defplan_mj.planning.observation import features
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
@@ -52,19 +53,23 @@ class DqlPlanner:
         task_names: the gaits.
         laser_range: m.
         meta: how it was trained.
+        loops: what gets the robot out of loops.
     """
 
     network: QNetwork
     task_names: tuple[str, ...]
     laser_range: float
     meta: dict
+    loops: LoopBreaker = field(default_factory=LoopBreaker)
 
     def reset(self) -> None:
-        """Do nothing: the network has no memory."""
+        """Forget the episode."""
+        self.loops.reset()
 
     def values(self, observation: Observation) -> np.ndarray:
-        """Return the (K,) Q values."""
-        return self.network(features(observation["laser"], observation["target"], self.laser_range))
+        """Return the (K,) Q values, lowered where they would lead round in circles."""
+        laser, target = observation["laser"], observation["target"]
+        return self.loops.adjust(self.network(features(laser, target, self.laser_range)), target)
 
 
 class DqlSolver:
