@@ -7,9 +7,6 @@ READY := $(VENV)/.defplan-ready
 SOURCES := requirements.lock pyproject.toml setup.py \
 	$(wildcard defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch])
 LINTED := defplan_mj tasks solvers
-# Rendering without a screen; set MUJOCO_GL yourself to choose another way.
-export MUJOCO_GL ?= egl
-export PYOPENGL_PLATFORM ?= $(MUJOCO_GL)
 
 .PHONY: help setup demo test test-full bench lint clean
 

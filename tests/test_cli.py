@@ -16,9 +16,7 @@ from defplan_mj.cli import commands
 from defplan_mj.cli.console import Console, table
 from defplan_mj.errors import DefplanError
 
-COMMANDS = (
-    "list run body gait surrogate planner evaluate bench compare replay view".split()  # noqa: SIM905
-)
+COMMANDS = "list run body gait surrogate planner evaluate bench compare replay view".split()
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from defplan_mj import cli, files, registry
+from defplan_mj.body.build import build_body
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import read_log
 from defplan_mj.planning.planner import TrainResult
@@ -114,13 +115,22 @@ class Setting:
         return results, (self.wave.calls - before[0], self.stubborn.calls - before[1])
 
 
+SMALL = BodyOptions(vertices=300, modes=4, basis=12, samples=10, patches=24)
+
+
+@pytest.fixture(scope="module")
+def body():
+    """Return the small body, built once."""
+    return build_body(registry.get_task("fish-swim").mesh, SMALL)
+
+
 @pytest.fixture
-def setting(tmp_path, monkeypatch):
+def setting(tmp_path, monkeypatch, body):
     """Return a small setting whose plugins stand in for the installed ones."""
     fish = registry.get_task("fish-swim")
     spec = dataclasses.replace(
         fish,
-        body=BodyOptions(vertices=300, modes=4, basis=12, samples=10, patches=24),
+        body=SMALL,
         navigation=NAVIGATION,
         gait_solver="wave",
         planner="stubborn",
@@ -129,6 +139,7 @@ def setting(tmp_path, monkeypatch):
     plugins = {"wave": wave, "rival": Wave("rival"), "stubborn": stubborn, "other": stubborn}
     monkeypatch.setattr(registry, "get_solver", lambda name, kind: plugins[name])
     monkeypatch.setattr(registry, "get_task", lambda name: spec)
+    monkeypatch.setattr("defplan_mj.body.build.build_body", lambda *_: body)
     return Setting(spec, wave, stubborn, tmp_path / "logs")
 
 
@@ -240,19 +251,45 @@ def test_an_interruption_loses_nothing_made_before(setting, monkeypatch):
     def stop(*_args, **_kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(setting.stubborn, "train", stop)
-    with pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(setting.stubborn, "train", stop)
         setting.run()
-    monkeypatch.undo()
     folder = setting.logs / "fish-swim-seed0"
     kept = {name: (folder / name).stat().st_mtime_ns for name in ("body.npz", "gait.npz")}
     assert not (folder / "policy.npz").exists()
-    with open_run(setting.spec, setting.logs, 0, {"gait_solver": "wave"}) as run:
-        monkeypatch.setattr(registry, "get_solver", lambda name, kind: setting.wave)
-        _ = run.surrogate
+    setting.run()
     assert setting.wave.calls == 1
     for name, time in kept.items():
         assert (folder / name).stat().st_mtime_ns == time
+
+
+def test_view_lets_the_planner_steer_the_runs_environment(setting, monkeypatch, capfd):
+    def one_cycle(environment, policy):
+        step = environment.step(policy(environment.reset()))
+        assert step.observation["laser"].shape == (NAVIGATION.beams,)
+        assert environment.task.cycles == 1
+        return ["success"]
+
+    monkeypatch.setattr("defplan_mj.host.viewer.require_display", lambda: None)
+    monkeypatch.setattr("defplan_mj.host.viewer.view", one_cycle)
+    argv = ["view", "fish-swim", "--logs", str(setting.logs), "--obstacles", "1", "--quiet"]
+    assert cli.main(argv) == 0
+    assert capfd.readouterr().out == "success\n"
+
+
+def test_evaluate_prints_one_evaluation_and_logs_every_episode(setting, tmp_path, capfd):
+    argv = ["evaluate", "fish-swim", "--logs", str(setting.logs), "--quiet", "--json"]
+    options = "--planner stubborn --no-shield --scenes novel --episodes 2 --obstacles 1".split()
+    logs = tmp_path / "episodes"
+    assert cli.main([*argv, *options, "--obstacle-speed", "0.3", "--log", str(logs)]) == 0
+    data = json.loads(capfd.readouterr().out)
+    assert data["episodes"] == 2 and data["shield"] is False and data["planner"] == "stubborn"
+    assert data["success"] + data["collision"] + data["timeout"] == pytest.approx(1.0)
+    found = [read_log(path) for path in sorted(logs.iterdir())]
+    assert len(found) == 2
+    speeds = np.linalg.norm(found[0].scene.velocities, axis=1)
+    np.testing.assert_allclose(speeds, 0.3)
+    assert len(found[0].scene.radii) == 1
 
 
 def test_an_unknown_planner_is_told_before_any_work(tmp_path, capfd):
@@ -323,3 +360,24 @@ def test_no_room_for_a_file_is_one_sentence_and_leaves_none(tmp_path):
     assert process.returncode == 1
     assert out == "" and err.count("\n") == 1 and f"cannot write {output}" in err
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.slow
+def test_the_fish_goes_the_whole_way_from_its_mesh_to_its_targets(tmp_path):
+    argv = ["run", "fish-swim", "--logs", str(tmp_path), "--episodes", "20", "--json", "--quiet"]
+    out, err = start(argv).communicate(timeout=1800)
+    results = json.loads(out)
+    assert err == ""
+    tasks = {task["name"]: task for task in results["gait"]["tasks"]}
+    assert tasks["forward"]["advance_m"] >= 0.5
+    assert tasks["left"]["yaw_rad"] >= 0.5 and tasks["right"]["yaw_rad"] <= -0.5
+    assert results["gait"]["switching"] == {
+        **results["gait"]["switching"],
+        "cycles": 200,
+        "falls": 0,
+    }
+    assert results["evaluation"]["k2"]["success"] >= 0.9
+    assert results["evaluation"]["novel"]["success"] >= 0.8
+    replay = start(["replay", results["files"]["log"], "--quiet"])
+    assert "identical to the bit" in replay.communicate(timeout=300)[0]
+    assert replay.returncode == 0
