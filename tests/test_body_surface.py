@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from body_meshes import FISH, bar, pill
 
-from defplan_mj.body.intersections import crossing_triangles
+from defplan_mj.body.intersections import _near_pairs, crossing_triangles
 from defplan_mj.body.surface import Surface, load_mesh
 from defplan_mj.body.tetmesh import TetMesh, volumes
 from defplan_mj.errors import DefplanError
@@ -209,9 +209,11 @@ def test_sound_surfaces_do_not_cross_themselves():
     assert isinstance(load_mesh(FISH), Surface)
 
 
-def test_crossings_of_random_triangles_agree_with_a_dense_search():
+@pytest.mark.parametrize("spread", [0.0, 2.0])
+def test_crossings_of_random_triangles_agree_with_a_dense_search(spread):
     rng = np.random.default_rng(0)
-    vertices = rng.normal(size=(60, 3))
+    size = np.repeat(np.exp(spread * rng.normal(size=20)), 3)[:, None]  # of very different sizes
+    vertices = size * rng.normal(size=(60, 3)) + np.repeat(0.3 * rng.normal(size=(20, 3)), 3, 0)
     faces = np.arange(60).reshape(-1, 3)
     found = {tuple(pair) for pair in crossing_triangles(vertices, faces)}
     expected = set()
@@ -233,3 +235,17 @@ def _pierces(first, second):
         if 0 < t < 1 and u > 0 and v > 0 and u + v < 1:
             return True
     return False
+
+
+def test_overlapping_boxes_are_all_found_whatever_their_sizes():
+    rng = np.random.default_rng(1)
+    low = rng.normal(size=(150, 3))
+    high = low + rng.random((150, 3)) * np.exp(rng.normal(size=(150, 1)))
+    expected = {
+        (i, j)
+        for i in range(150)
+        for j in range(i + 1, 150)
+        if (low[i] <= high[j]).all() and (low[j] <= high[i]).all()
+    }
+    found = [tuple(pair) for pair in _near_pairs(low, high)]
+    assert set(found) == expected and len(found) == len(expected) > 100

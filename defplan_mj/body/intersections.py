@@ -4,37 +4,46 @@ from __future__ import annotations
 
 import numpy as np
 
-_CHUNK = 200_000
+_CHUNK = 200_000  # pairs looked at together: bounds the memory
 
 
 def _near_pairs(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the pairs (p, 2) of boxes (n, 3) that overlap, by hashing them into a grid."""
-    size = 2.0 * (high - low).max(1).mean()
-    first = np.floor((low - low.min(0)) / size).astype(np.int64)
-    shape = np.floor((high - low.min(0)) / size).astype(np.int64) - first + 1
-    count = shape.prod(1)
-    box = np.repeat(np.arange(len(low)), count)
-    rank = np.arange(len(box)) - np.repeat(np.cumsum(count) - count, count)
-    ny, nz = shape[box, 1], shape[box, 2]
-    cell = first[box] + np.stack([rank // (ny * nz), rank // nz % ny, rank % nz], axis=1)
-    width = (first + shape).max(0)
-    key = (cell[:, 0] * width[1] + cell[:, 1]) * width[2] + cell[:, 2]
-    order = np.argsort(key, kind="stable")
-    key, box = key[order], box[order]
-    pairs = []
-    # neighbours in the sorted list, ever farther apart, as long as some share a cell
-    for shift in range(1, len(key)):
-        same = key[shift:] == key[:-shift]
-        if not same.any():
-            break
-        a, b = box[:-shift][same], box[shift:][same]
-        overlap = (low[a] <= high[b]).all(1) & (low[b] <= high[a]).all(1)
-        pairs.append(np.stack([a, b], 1)[overlap])
-    if not pairs:
-        return np.zeros((0, 2), np.int64)
-    joined = np.sort(np.concatenate(pairs), axis=1)
-    code = np.unique(joined[:, 0] * len(low) + joined[:, 1])
-    return np.stack([code // len(low), code % len(low)], axis=1)
+    """Return the pairs (p, 2) of boxes (n, 3) that overlap.
+
+    A binary tree of boxes, halved at the median of their longest side, is compared with itself
+    level by level; long thin triangles and very different sizes are no trouble to it.
+    """
+    levels = max(len(low) - 1, 1).bit_length()
+    order = np.full((1, 2**levels), -1)
+    order[0, : len(low)] = np.arange(len(low))
+    centre = np.vstack([0.5 * (low + high), np.full(3, np.inf)])  # row -1 fills up the tree
+    low, high = np.vstack([low, np.full(3, np.inf)]), np.vstack([high, np.full(3, -np.inf)])
+    for _ in range(levels):
+        extent = high[order].max(1) - low[order].min(1)
+        key = np.take_along_axis(
+            centre[order], np.nan_to_num(extent).argmax(1)[:, None, None], axis=2
+        )[..., 0]
+        order = np.take_along_axis(order, key.argsort(1, kind="stable"), axis=1)
+        order = order.reshape(2 * len(order), -1)
+    leaves = order[:, 0]
+    boxes = [(low[leaves], high[leaves])]
+    for _ in range(levels):
+        below, above = boxes[-1]
+        pair = below.reshape(-1, 2, 3).min(1), above.reshape(-1, 2, 3).max(1)
+        boxes.append(pair)
+    a = b = np.zeros(1, np.int64)
+    for below, above in reversed(boxes[:-1]):
+        same = a == b
+        apart = ~same
+        first = [2 * a, 2 * a[apart], 2 * a[apart] + 1, 2 * a + 1]
+        second = [2 * b, 2 * b[apart] + 1, 2 * b[apart], 2 * b + 1]
+        first.append(2 * a[same])
+        second.append(2 * a[same] + 1)
+        a, b = np.concatenate(first), np.concatenate(second)
+        touch = (below[a] <= above[b]).all(1) & (below[b] <= above[a]).all(1)
+        a, b = a[touch], b[touch]
+    pairs = np.stack([leaves[a], leaves[b]], axis=1)[a != b]
+    return np.sort(pairs, axis=1)
 
 
 def _orientation(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -74,15 +83,16 @@ def crossing_triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         faces: (f, 3).
     """
     corners = vertices[faces]
-    pairs = _near_pairs(corners.min(1), corners.max(1))
     least = 1e-14 * np.ptp(vertices, axis=0).max() ** 3
-    found = []
-    for start in range(0, len(pairs), _CHUNK):
-        part = pairs[start : start + _CHUNK]
-        first, second = faces[part[:, 0]], faces[part[:, 1]]
-        common = (first[:, :, None] == second[:, None, :]).sum((1, 2))
-        part, first, second = part[common < 2], first[common < 2], second[common < 2]
+    near = _near_pairs(corners.min(1), corners.max(1))
+    found = [np.zeros((0, 2), np.int64)]
+    for start in range(0, len(near), _CHUNK):
+        pairs = near[start : start + _CHUNK]
+        first, second = faces[pairs[:, 0]], faces[pairs[:, 1]]
+        apart = (first[:, :, None] == second[:, None, :]).sum((1, 2)) < 2
+        first, second = first[apart], second[apart]
         cross = _edges_cross(vertices, first, second, least)
         cross |= _edges_cross(vertices, second, first, least)
-        found.append(part[cross])
-    return np.concatenate(found) if found else np.zeros((0, 2), np.int64)
+        found.append(pairs[apart][cross])
+    joined = np.concatenate(found)
+    return joined[np.lexsort(joined.T[::-1])]
