@@ -35,6 +35,7 @@ GAIT_FILE, SOLVERS_FILE = "gait.json", "gait_solvers.json"
 EVALUATION_FILE, REPORT_FILE = "evaluation.json", "report.html"
 TRAINING_VERSION = 1
 RIVAL = "alternating"  # the paper's scheme
+_OTHER_SEQUENCES = 20180521  # seed: no run of a solver has it
 CONFIGURATION = (
     "gait_solver",
     "planner",
@@ -172,7 +173,7 @@ class Run:
             made = [path]
             start = time.perf_counter()
             try:
-                theirs = self._solve(rival, "gait solvers")
+                theirs = self._solve(rival, f"gait by {rival.name}")
             except DefplanError as error:  # the run does not depend on it
                 rows.append({"name": rival.name, "error": str(error)})
             else:
@@ -354,7 +355,7 @@ class Run:
         """Return a Progress that names the stage."""
 
         def show(message: str, fraction: float) -> None:
-            detail = message.removeprefix(stage).lstrip(": ")
+            detail = message.removeprefix(stage.split()[0]).lstrip(": ")
             self._progress(f"{stage}: {detail}" if detail else stage, fraction)
 
         return show
@@ -405,7 +406,7 @@ def compare(problem: GaitProblem, name: str, gait: Gait, seconds: float) -> dict
     """
     from defplan_mj.gait.switching import evaluate_switching
 
-    sequences = problem.switching_sequences(np.random.default_rng(0))
+    sequences = problem.switching_sequences(np.random.default_rng(_OTHER_SEQUENCES))
     cost = problem.objective(sequences)(w=problem.w_of(gait))["cost"]
     switched = evaluate_switching(problem.dynamics, gait, SWITCHING_CYCLES, seed=0)
     return {

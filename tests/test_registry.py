@@ -76,7 +76,9 @@ def test_a_solver_of_another_kind_is_refused_by_kind(installed):
 )
 def test_a_broken_plugin_is_reported_by_name_and_leaves_the_others_alone(installed, value, reason):
     installed(broken=value, mine=f"{__name__}:SOLVER")
-    with pytest.raises(DefplanError, match=f"broken of package unknown cannot be loaded .*{reason}"):
+    with pytest.raises(
+        DefplanError, match=f"broken of package unknown cannot be loaded .*{reason}"
+    ):
         registry.get_solver("broken", "planner")
     assert registry.get_solver("mine", "planner") is SOLVER
     entries = {e.name: e for e in registry.solvers("planner")}
