@@ -25,7 +25,7 @@ SWIM = TaskSpec(
     name="fish-swim",
     description="a fish swims to targets among upright cylinders (the paper's first example)",
     mesh=ASSETS / "fish.obj",
-    body=BodyOptions(vertices=2118, modes=5, basis=31, amplitude=2.0, length=1.0),
+    body=BodyOptions(vertices=2118, modes=5, basis=31, samples=8, amplitude=2.0, length=1.0),
     timestep=0.04,
     steps_per_cycle=11,
     gait_tasks=(
