@@ -38,7 +38,7 @@ def replay(arguments: argparse.Namespace, console: Console) -> int:
         data = result.to_json()
         if arguments.video:
             progress("drawing the video", 0.0)
-            write_video(log, arguments.video)
+            write_video(log, arguments.video, camera=arguments.camera)
             progress("drawing the video", 1.0)
             data["video"] = str(arguments.video)
     console.result(data, result.sentence())

@@ -190,6 +190,12 @@ def _replay(sub: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="draw it as a video (MP4, GIF) or as a picture of its end (PNG)",
     )
+    sub.add_argument(
+        "--camera",
+        metavar="NAME",
+        default="chase",
+        help="of the video: chase, side, top, map (all of the way), overview (default: chase)",
+    )
     _common(sub)
 
 
