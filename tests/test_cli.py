@@ -57,6 +57,15 @@ def test_help_and_list_import_nothing_heavy():
     assert done.returncode == 0, done.stderr
 
 
+def test_list_does_not_load_torch():
+    code = (
+        "import sys; from defplan_mj import cli; cli.main(['list', '--quiet']);"
+        "sys.exit('imported torch' if 'torch' in sys.modules else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 def test_list_prints_one_json_object_that_names_all_groups(capfd):
     assert cli.main(["list", "--json"]) == 0
     data = json.loads(capfd.readouterr().out)

@@ -45,6 +45,11 @@ def test_this_package_registers_its_task_solvers_and_domain():
     assert "fish" in registry.names(registry.DOMAINS)
 
 
+def test_none_of_our_own_plugins_is_broken():
+    entries = [*registry.tasks(), *registry.solvers(), *registry.domains()]
+    assert [f"{e.name}: {e.error}" for e in entries if e.package == "defplan" and e.error] == []
+
+
 def test_a_plugin_of_another_package_is_found_by_its_name_and_kind(installed):
     installed(mine=f"{__name__}:SOLVER")
     assert registry.get_solver("mine", "planner") is SOLVER
