@@ -7,7 +7,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.shield import Shield
@@ -65,6 +64,8 @@ class _Clearance:
     """Distance to the nearest point, from a grid about the robot; what lies outside counts as free."""
 
     def __init__(self, points: np.ndarray) -> None:
+        from scipy.ndimage import distance_transform_edt  # here: plugins are quick to import
+
         self.cells = 2 * round((HORIZON + 1.0) / GRID) + 1
         self.middle = self.cells // 2
         index = np.round(points / GRID).astype(int) + self.middle

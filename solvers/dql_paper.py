@@ -49,7 +49,7 @@ class PaperConfiguration:
     memory: int = 10
     batch: int = 32
     updates: int = 62
-    learning_rate: float = 1e-4
+    learning_rate: float = 1e-3
     discount: float = 0.95
     explore_first: float = 0.5
     explore_last: float = 0.05
