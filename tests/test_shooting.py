@@ -11,7 +11,8 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import evaluate_switching
 from defplan_mj.task import GaitTask
-from defplan_solvers.shooting import Shooting
+from defplan_solvers.shooting import SOLVER, Shooting
+from defplan_tasks.fish import ASSETS, SWIM
 
 QUICK = Shooting(starts=2, start_iterations=15, rounds=((8, 1), (30, 1)))
 TASKS = (GaitTask("forward", speed=0.7), GaitTask("left", yaw=0.8, speed=0.45))
@@ -54,3 +55,16 @@ def test_a_seed_gives_one_gait_to_the_bit(problem: GaitProblem, gait: Gait) -> N
     again = QUICK.solve(problem, seed=1)
     for name in ("mu", "alpha", "beta"):
         np.testing.assert_array_equal(getattr(again, name), getattr(gait, name))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+def test_every_seed_gives_the_fish_good_gaits(seed: int) -> None:
+    body = Body.load(ASSETS / "fish_body.npz")
+    dynamics = ReducedDynamics(body, SWIM.timestep)
+    problem = GaitProblem(dynamics, SWIM.gait_tasks, SWIM.steps_per_cycle, SWIM.gait_steps)
+    measured = evaluate_switching(dynamics, SOLVER.solve(problem, seed), cycles=200)
+    forward, left, right = measured.tasks()
+    assert forward["advance_m"] >= 0.5 * body.length
+    assert left["yaw_rad"] >= 0.5 and right["yaw_rad"] <= -0.5
+    assert measured.falls == 0
