@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import importlib.util
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -157,3 +159,54 @@ def test_ipopt_reaches_a_pose_through_a_rollout(dynamics, symbolic):
     solution = ca.nlpsol("solver", "ipopt", problem, options)(x0=np.zeros(r))
     states = dynamics.rollout(dynamics.rest_state(), np.tile(flat(solution["x"]), (n, 1)))
     np.testing.assert_allclose(states[-1][7 : 7 + r], wanted, atol=1e-4)
+
+
+def test_the_step_without_second_derivatives_has_the_same_value_and_jacobian(dynamics, symbolic):
+    x, u = sample(dynamics, 8)
+    x_next = symbolic.step(x, u)
+    np.testing.assert_array_equal(symbolic.step_gauss_newton(x, u), x_next)
+    sx, su = ca.MX.sym("x", dynamics.nx), ca.MX.sym("u", dynamics.nu)
+    y = symbolic.step_gauss_newton(sx, su)
+    value = ca.Function("j", [sx, su], [ca.jacobian(y, sx), ca.jacobian(y, su)])(x, u)
+    for block, wanted in zip(value, dynamics.step_jacobian(x, u, flat(x_next)), strict=True):
+        np.testing.assert_allclose(np.array(block), wanted, rtol=1e-13, atol=1e-15)
+    weights = np.random.default_rng(9).normal(size=dynamics.nx)
+    hessian = ca.hessian(ca.dot(weights, y) + ca.sumsqr(su), su)[0]
+    at = ca.Function("h", [sx, su], [hessian])(x, u)
+    np.testing.assert_allclose(np.array(at), 2 * np.eye(dynamics.nu), atol=1e-15)
+
+
+@pytest.fixture(scope="module")
+def example():
+    path = Path(__file__).parents[1] / "docs" / "examples" / "multiple_shooting.py"
+    spec = importlib.util.spec_from_file_location("multiple_shooting", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("solver", ["ipopt", "fatrop"])
+def test_the_worked_example_reaches_its_shape_when_simulated(dynamics, example, solver):
+    if not ca.has_nlpsol(solver):
+        pytest.skip(f"this CasADi has no {solver}")
+    wanted = np.array([0.4, -0.1, 0.0, 0.1, 0.0])
+    states, shapes, stats = example.reach(dynamics, wanted, 6, solver)
+    assert stats["success"]
+    simulated = dynamics.rollout(dynamics.rest_state(), shapes)
+    np.testing.assert_allclose(states, simulated, atol=1e-5)
+    np.testing.assert_allclose(simulated[-1][7:12], wanted, atol=5e-3)
+    assert (np.abs(shapes) <= dynamics.body.amplitude + 1e-6).all()
+
+
+def test_both_solvers_of_the_worked_example_agree(dynamics, example):
+    if not ca.has_nlpsol("fatrop"):
+        pytest.skip("this CasADi has no fatrop")
+    wanted = np.array([0.3, 0.1, 0.0, 0.0, 0.0])
+    shapes = [example.reach(dynamics, wanted, 5, solver)[1] for solver in ("ipopt", "fatrop")]
+    np.testing.assert_allclose(*shapes, atol=1e-4)
+
+
+def test_the_worked_example_runs_as_a_script(small_fish, example, tmp_path, capsys):
+    small_fish.save(tmp_path / "body.npz")
+    example.main(str(tmp_path / "body.npz"))
+    assert "shape at the end: [ 0.4" in capsys.readouterr().out

@@ -28,6 +28,24 @@ class CasadiDynamics:
         """(x: nx, u: r) -> x_next: nx, with Jacobian and adjoint."""
         return self._function("defplan_step", 1)
 
+    @cached_property
+    def step_gauss_newton(self) -> casadi.Function:
+        """`step` for solvers that ask for second derivatives: they are left out, taken as zero.
+
+        With it, the exact Hessian of a Lagrangian is Gauss-Newton's: that of all but the dynamics.
+        Values and first derivatives are those of `step`.
+        """
+        x, u = casadi.MX.sym("x", self.dynamics.nx), casadi.MX.sym("u", self.dynamics.nu)
+        x_next = casadi.MX.sym("out_x_next", self.dynamics.nx)
+        blocks = [casadi.no_grad(block) for block in self.step.jacobian()(x, u, x_next)]
+        names = ["jac_x_next_x", "jac_x_next_u"]
+        jacobian = casadi.Function(
+            "jac_step", [x, u, x_next], blocks, ["x", "u", "out_x_next"], names
+        )
+        options = {"custom_jacobian": jacobian, "never_inline": True}
+        options |= {"enable_forward": False, "enable_reverse": False}
+        return casadi.Function("step", [x, u], [self.step(x, u)], ["x", "u"], ["x_next"], options)
+
     def rollout(self, n: int) -> casadi.Function:
         """Return (x0: nx, u: r x n) -> x: nx x n, the states after each step, with adjoint."""
         if n not in self._rollouts:
