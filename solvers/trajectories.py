@@ -48,9 +48,9 @@ class _Compiled:
         outputs = [function.sparsity_out(i) for i in range(function.n_out())]
         self.results = [np.zeros(p.size()[::-1] if p.is_dense() else p.nnz()) for p in outputs]
         for i, array in enumerate(self.arguments):
-            self.buffer.set_arg(i, memoryview(array))
+            self.buffer.set_arg(i, array.data)
         for i, array in enumerate(self.results):
-            self.buffer.set_res(i, memoryview(array))
+            self.buffer.set_res(i, array.data)
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
         """Return the outputs; the next call overwrites them."""
@@ -281,7 +281,7 @@ class Trajectories:
                 step = self.solve(entries, damping * metric, -gradient)
                 new = self.move(states, shapes, step)
                 try:
-                    new_parts = self.parts(*new, wanted)
+                    new_parts = self.parts(new[0], new[1], wanted)
                 except RuntimeError:  # a step from there does not converge: too far
                     new_parts = np.full(3, np.inf)
                 if weights @ new_parts < before:
