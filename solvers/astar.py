@@ -17,7 +17,11 @@ from defplan_solvers.untrained import load_nothing, save_nothing
 
 GRID = 0.15  # cell of the clearance grid, m
 HORIZON = 9.0  # a plan that gets this far from the robot is good enough, m
-MARGINS = (0.25, 0.05)  # added to the body's radius, one after the other until there is a plan, m
+MARGINS = (
+    0.45,
+    0.25,
+    0.1,
+)  # added to the body's radius, one after the other until there is a plan, m
 NODES = 1500  # search nodes of one attempt
 CELL, HEADINGS = 0.3, 24  # poses in the same cell and heading count as one, m
 WEIGHT = 1.2  # of the heuristic: more is faster, less is shorter
