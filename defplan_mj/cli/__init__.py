@@ -60,6 +60,14 @@ def _run(argv: Sequence[str] | None) -> int:
         return arguments.command(arguments, console)
 
 
+def _drop_output() -> None:
+    """Throw away what stdout can no longer take: Python would complain of it again on leaving."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _report(error: BaseException) -> int:
     """Say `error` in one sentence on stderr; return the exit code."""
     if isinstance(error, KeyboardInterrupt):
@@ -68,8 +76,9 @@ def _report(error: BaseException) -> int:
             # a solver still computes in C++: Python would crash when it takes the ground from under it
             os._exit(STOPPED)
         return STOPPED
+    if isinstance(error, OSError):
+        _drop_output()
     if isinstance(error, BrokenPipeError):  # the reader, e.g. `head`, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     if isinstance(error, DefplanError):
         _say(str(error))
