@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import heapq
 import math
-from pathlib import Path
 
 import numpy as np
 
-from defplan_mj.planning.planner import Observation, Planner, TrainResult
+from defplan_mj.planning.planner import Observation
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.task import Navigation, Progress, no_progress
+from defplan_mj.task import Navigation
 from defplan_solvers.laser_map import LaserMap
-from defplan_solvers.untrained import load_nothing, save_nothing
+from defplan_solvers.untrained import UntrainedSolver
 
 GRID = 0.15  # cell of the clearance grid, m
 HORIZON = 9.0  # a plan that gets this far from the robot is good enough, m
@@ -142,33 +141,8 @@ def search(
     return fallback if fallback >= 0 else None
 
 
-class AstarSolver:
-    """The planner plugin `astar`."""
-
-    kind = "planner"
-    name = "astar"
-    summary = "A* over the gaits among all laser points seen so far; nothing to train"
-    needs_training = False
-
-    def train(
-        self,
-        surrogate: Surrogate,
-        navigation: Navigation,
-        seed: int,
-        seconds: float | None = None,
-        progress: Progress = no_progress,
-    ) -> TrainResult:
-        """Return the planner: there is nothing to train."""
-        return TrainResult(AstarPlanner(surrogate, navigation))
-
-    def save(self, planner: Planner, path: Path) -> None:
-        """Write the planner's name to `path`."""
-        save_nothing(self.name, path)
-
-    def load(self, path: Path, surrogate: Surrogate, navigation: Navigation) -> AstarPlanner:
-        """Return the planner of a file of `save`."""
-        load_nothing(self.name, path)
-        return AstarPlanner(surrogate, navigation)
-
-
-SOLVER = AstarSolver()
+SOLVER = UntrainedSolver(
+    "astar",
+    "A* over the gaits among all laser points seen so far; nothing to train",
+    AstarPlanner,
+)

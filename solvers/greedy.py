@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from defplan_mj.planning.motion_tree import MotionTree
 from defplan_mj.planning.observation import laser_points
-from defplan_mj.planning.planner import Observation, Planner, TrainResult
+from defplan_mj.planning.planner import Observation
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.task import Navigation, Progress, no_progress
-from defplan_solvers.untrained import load_nothing, save_nothing
+from defplan_mj.task import Navigation
+from defplan_solvers.untrained import UntrainedSolver
 
 FAR = 100.0  # what a hit costs, m: more than any gait gains
 
@@ -42,33 +40,8 @@ class GreedyPlanner:
         return values
 
 
-class GreedySolver:
-    """The planner plugin `greedy`."""
-
-    kind = "planner"
-    name = "greedy"
-    summary = "one cycle of lookahead towards the target; nothing to train"
-    needs_training = False
-
-    def train(
-        self,
-        surrogate: Surrogate,
-        navigation: Navigation,
-        seed: int,
-        seconds: float | None = None,
-        progress: Progress = no_progress,
-    ) -> TrainResult:
-        """Return the planner: there is nothing to train."""
-        return TrainResult(GreedyPlanner(surrogate, navigation))
-
-    def save(self, planner: Planner, path: Path) -> None:
-        """Write the planner's name to `path`."""
-        save_nothing(self.name, path)
-
-    def load(self, path: Path, surrogate: Surrogate, navigation: Navigation) -> GreedyPlanner:
-        """Return the planner of a file of `save`."""
-        load_nothing(self.name, path)
-        return GreedyPlanner(surrogate, navigation)
-
-
-SOLVER = GreedySolver()
+SOLVER = UntrainedSolver(
+    "greedy",
+    "one cycle of lookahead towards the target; nothing to train",
+    GreedyPlanner,
+)

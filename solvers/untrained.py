@@ -1,26 +1,59 @@
-"""Policy files of planners without parameters: they hold the planner's name and nothing else."""
+"""Planner plugins with nothing to train: their policy file holds the planner's name and nothing else."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from defplan_mj import files
 from defplan_mj.errors import DefplanError
+from defplan_mj.planning.planner import Planner, TrainResult
+from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.task import Navigation, Progress, no_progress
 
 FORMAT_VERSION = 1
 
 
-def save_nothing(name: str, path: Path) -> None:
-    """Write a policy file that holds only the planner's name, atomically."""
-    files.save_archive(path, "policy", FORMAT_VERSION, {}, {"planner": name})
+@dataclass(frozen=True)
+class UntrainedSolver:
+    """A planner plugin that only makes its planner.
 
-
-def load_nothing(name: str, path: Path) -> None:
-    """Read a file of `save_nothing`.
-
-    Raises:
-        DefplanError: the file is missing, damaged, of another version or of another planner.
+    Attributes:
+        name, summary: see the registry.
+        make: the planner of a surrogate and a navigation problem.
     """
-    _, meta, _ = files.load_archive(path, "policy", FORMAT_VERSION)
-    if meta.get("planner") != name:
-        raise DefplanError(f"{path} holds a policy of {meta.get('planner')}, not of {name}")
+
+    name: str
+    summary: str
+    make: Callable[[Surrogate, Navigation], Planner]
+    kind: str = "planner"
+    needs_training: bool = False
+
+    def train(
+        self,
+        surrogate: Surrogate,
+        navigation: Navigation,
+        seed: int,
+        seconds: float | None = None,
+        progress: Progress = no_progress,
+    ) -> TrainResult:
+        """Return the planner: there is nothing to train."""
+        return TrainResult(self.make(surrogate, navigation))
+
+    def save(self, planner: Planner, path: Path) -> None:
+        """Write the planner's name to `path`, atomically."""
+        files.save_archive(path, "policy", FORMAT_VERSION, {}, {"planner": self.name})
+
+    def load(self, path: Path, surrogate: Surrogate, navigation: Navigation) -> Planner:
+        """Return the planner of a file of `save`.
+
+        Raises:
+            DefplanError: the file is missing, damaged, of another version or of another planner.
+        """
+        _, meta, _ = files.load_archive(path, "policy", FORMAT_VERSION)
+        if meta.get("planner") != self.name:
+            raise DefplanError(
+                f"{path} holds a policy of {meta.get('planner')}, not of {self.name}"
+            )
+        return self.make(surrogate, navigation)
