@@ -7,6 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from defplan_mj.body.model import Material, Medium
+from defplan_mj.errors import DefplanError
+
+SPACES = {"planar": 2, "spatial": 3}
+"""Where a task navigates, and in how many dimensions."""
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction done (0 to 1)."""
@@ -69,6 +73,8 @@ class Navigation:
         k2_obstacles, novel_obstacles: obstacles on the way.
         beams: laser beams.
         laser_range: m.
+        space: 'planar' (targets, obstacles and laser in the horizontal plane, in the yaw frame) or
+            'spatial' (all of them in three dimensions, in the body frame).
     """
 
     distance: float = 20.0
@@ -79,6 +85,18 @@ class Navigation:
     novel_obstacles: int = 10
     beams: int = 64
     laser_range: float = 10.0
+    space: str = "planar"
+
+    def __post_init__(self) -> None:
+        if self.space not in SPACES:
+            raise DefplanError(
+                f"there is no space {self.space!r} to navigate in: take {' or '.join(SPACES)}"
+            )
+
+    @property
+    def dimension(self) -> int:
+        """Of positions and directions: 2 in the plane, 3 in space."""
+        return SPACES[self.space]
 
 
 @dataclass(frozen=True)
