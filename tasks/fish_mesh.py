@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from defplan_mj import files
+from defplan_tasks.surfaces import write_obj
 
 ASSET = Path(__file__).parent / "assets" / "fish.obj"
 
@@ -80,12 +80,7 @@ def fish_mesh(rings: int = 46, ring_points: int = 22) -> tuple[np.ndarray, np.nd
 
 def write_fish(path: str | Path = ASSET) -> Path:
     """Write the fish as a Wavefront OBJ file; the same bytes every time."""
-    vertices, faces = fish_mesh()
-    lines = ["# Fish, 1 m; made by defplan_tasks.fish_mesh"]
-    lines += [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in vertices + 0.0]
-    lines += [f"f {a} {b} {c}" for a, b, c in faces + 1]
-    files.write_text(path, "\n".join(lines) + "\n")
-    return Path(path)
+    return write_obj(path, "Fish, 1 m; made by defplan_tasks.fish_mesh", *fish_mesh())
 
 
 def main() -> None:
