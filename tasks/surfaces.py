@@ -74,14 +74,14 @@ def surface_net(solid: Solid, cell: float, half: float) -> tuple[np.ndarray, np.
         point = line[place]
         point[:, axis] += cell * share
         others = [(axis + 1) % 3, (axis + 2) % 3]
-        ring = []
+        cells = []
         for back in ((0, 0), (1, 0), (1, 1), (0, 1)):  # the four cells around the edge
             at = place.copy()
             at[:, others] -= back
             np.add.at(total, tuple(at.T), point)
             np.add.at(crossings, tuple(at.T), 1)
-            ring.append(number[tuple(at.T)])
-        ring = np.stack(ring, axis=1)
+            cells.append(number[tuple(at.T)])
+        ring = np.stack(cells, axis=1)
         leaving = inside[tuple(low)][crossed]  # outward is along the axis
         ring[~leaving] = ring[~leaving][:, ::-1]
         quads.append(ring)
