@@ -13,7 +13,7 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scenes import Scene, level_attitude
 from defplan_tasks.fish import SWIM
 
 
@@ -47,13 +47,17 @@ def scene(
     circles: list[tuple[float, float, float]],
     target: tuple[float, float, float] = (20.0, 0.0, 0.0),
     velocities: list[tuple[float, float, float]] | None = None,
+    yaw: float = 0.0,
     **kwargs,
 ) -> Scene:
-    """Return a scene with cylinders (x, y, radius)."""
+    """Return a scene with cylinders (x, y, radius) and a start heading, rad."""
     array = np.array(circles, float).reshape(-1, 3)
     centres = np.column_stack([array[:, :2], np.zeros(len(array))])
     moving = np.zeros_like(centres) if velocities is None else np.array(velocities, float)
-    return Scene(np.array(target, float), centres, array[:, 2], moving, **kwargs)
+    attitude = level_attitude(yaw)
+    return Scene(
+        np.array(target, float), centres, array[:, 2], moving, orientation=attitude, **kwargs
+    )
 
 
 def physics(max_obstacles: int = 4, **kwargs) -> Physics:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from defplan_mj.planning.scenes import Scene, SceneBatch
+from defplan_mj.planning.scenes import Scene, SceneBatch, level_attitude
 from defplan_mj.planning.surrogate import Surrogate
 
 
@@ -36,14 +36,21 @@ def surrogate(
     )
 
 
-def scene(circles=(), target=(10.0, 0.0), velocities=None, **kwargs) -> Scene:
-    """Return a scene with cylinders (x, y, radius)."""
+def scene(circles=(), target=(10.0, 0.0), velocities=None, yaw=0.0, **kwargs) -> Scene:
+    """Return a scene with cylinders (x, y, radius) and a start heading, rad."""
     array = np.array(circles, float).reshape(-1, 3)
     centres = np.column_stack([array[:, :2], np.zeros(len(array))])
     moving = np.zeros_like(centres)
     if velocities is not None:
         moving[:, :2] = velocities
-    return Scene(np.array([*target, 0.0]), centres, array[:, 2], moving, **kwargs)
+    return Scene(
+        np.array([*target, 0.0]),
+        centres,
+        array[:, 2],
+        moving,
+        orientation=level_attitude(yaw),
+        **kwargs,
+    )
 
 
 def batch(*scenes: Scene) -> SceneBatch:

@@ -12,7 +12,7 @@ from mujoco import rollout
 
 from defplan_mj.errors import DefplanError
 from defplan_mj.host.navigation import Navigate, navigation_environment
-from defplan_mj.planning.scenes import Scene, novel_scenes
+from defplan_mj.planning.scenes import Scene, level_attitude, novel_scenes
 from defplan_mj.task import Navigation
 
 NAVIGATION = Navigation()
@@ -184,7 +184,7 @@ def test_observation_is_the_same_wherever_the_episode_is_turned_to():
         rotation = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
         scene = samples.scene([(3.0, 1.0, 0.5), (-2.0, 4.0, 1.0)], target=(6.0, -3.0, 0.2))
         turned = {"target": rotation @ scene.target, "centres": scene.centres @ rotation.T}
-        return dataclasses.replace(scene, yaw=angle, **turned)
+        return dataclasses.replace(scene, orientation=level_attitude(angle), **turned)
 
     observations = []
     for angle in (0.0, 0.7, 3.1):

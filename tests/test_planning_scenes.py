@@ -28,7 +28,8 @@ def test_k2_targets_are_evenly_spread_with_two_obstacles_on_the_straight_way():
     bearing = np.array([np.arctan2(s.target[1], s.target[0]) for s in scenes])
     assert np.allclose(np.mod(bearing, 2 * np.pi), 2 * np.pi * np.arange(10) / 10)
     for scene in scenes:
-        assert np.isclose(np.linalg.norm(scene.target), 20) and scene.yaw == 0
+        assert np.isclose(np.linalg.norm(scene.target), 20)
+        assert np.array_equal(scene.orientation, [1, 0, 0, 0])
         assert len(scene.radii) == 2
         along = scene.target[:2] / 20
         assert np.all(scene.centres[:, :2] @ along < 20)

@@ -9,7 +9,7 @@ import pytest
 
 from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.planning.motion_tree import MotionTree
-from defplan_mj.planning.scenes import SceneBatch, novel_scenes
+from defplan_mj.planning.scenes import SceneBatch, level_attitude, novel_scenes
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate_env import COLLISION, run_on_surrogate
 from defplan_mj.task import Navigation
@@ -99,7 +99,8 @@ def test_at_least_one_gait_is_always_allowed_and_never_a_hit_if_one_misses(seed)
 
 def test_the_shield_keeps_a_blind_planner_from_colliding():
     batch = SceneBatch.of(novel_scenes(NAVIGATION, 30, 0))
-    scenes = replace(batch, yaw=np.arctan2(batch.targets[:, 1], batch.targets[:, 0]))
+    bearing = np.arctan2(batch.targets[:, 1], batch.targets[:, 0])
+    scenes = replace(batch, orientations=level_attitude(bearing))
     rates = {}
     for shielded in (False, True):
         pilot = Stubborn(3, 1, 2)

@@ -88,7 +88,7 @@ class Navigate(base.Task):
         self._scene = self._fixed if self._fixed is not None else self._sampler(self.random)
         physics.set_scene(self._scene)
         state = np.zeros(13 + 2 * physics.n_modes)
-        state[3], state[6] = np.cos(self._scene.yaw / 2), np.sin(self._scene.yaw / 2)
+        state[3:7] = self._scene.orientation
         physics.set_reduced_state(state)
         self.outcome = "running"
         self.cycles = 0

@@ -271,7 +271,8 @@ def _in_order(path: Path, found: _Contents) -> EpisodeLog:
         )
     configuration = json.loads(found.metadata[schemas.CONFIGURATION_RECORD]["json"])
     scene = configuration.pop("scene")
-    arrays = {k: np.array(scene[k], float) for k in ("target", "centres", "radii", "velocities")}
+    names = ("target", "centres", "radii", "velocities", "orientation")
+    arrays = {name: np.array(scene[name], float) for name in names}
     arrays = {
         k: a.reshape(-1, 3) if k in ("centres", "velocities") else a for k, a in arrays.items()
     }

@@ -26,7 +26,7 @@ class Scene:
         radii: (m,) obstacle radii.
         velocities: (m, 3) constant obstacle velocities, m/s.
         shape: 'cylinder' (upright) or 'sphere'.
-        yaw: start heading, rad.
+        orientation: (4,) start attitude, unit quaternion w x y z.
         goal_radius: the target is reached when the centre of mass comes this close.
         max_cycles: gait cycles before the episode times out.
     """
@@ -36,7 +36,7 @@ class Scene:
     radii: np.ndarray
     velocities: np.ndarray
     shape: str = "cylinder"
-    yaw: float = 0.0
+    orientation: np.ndarray = field(default_factory=lambda: level_attitude(0.0))
     goal_radius: float = 1.0
     max_cycles: int = 200
     meta: dict = field(default_factory=dict)
@@ -48,7 +48,7 @@ class SceneBatch:
 
     Attributes:
         targets: (n, 2) m.
-        yaw: (n,) start heading, rad.
+        orientations: (n, 4) start attitudes, unit quaternions w x y z.
         centres: (n, m, 2) obstacle centres at time 0, m; unused ones are `FAR` away with radius 0.
         radii: (n, m) m.
         velocities: (n, m, 2) m/s.
@@ -57,7 +57,7 @@ class SceneBatch:
     """
 
     targets: np.ndarray
-    yaw: np.ndarray
+    orientations: np.ndarray
     centres: np.ndarray
     radii: np.ndarray
     velocities: np.ndarray
@@ -66,6 +66,11 @@ class SceneBatch:
 
     def __len__(self) -> int:
         return len(self.targets)
+
+    @property
+    def yaw(self) -> np.ndarray:
+        """Return the (n,) start headings of level attitudes, rad."""
+        return 2 * np.arctan2(self.orientations[:, 3], self.orientations[:, 0])
 
     def scenes(self, meta: list[dict] | None = None) -> list[Scene]:
         """Return the batch as a list of `Scene` (padding dropped), with `meta` of each."""
@@ -78,7 +83,7 @@ class SceneBatch:
                     centres=_with_zero_height(self.centres[i, real]),
                     radii=self.radii[i, real].copy(),
                     velocities=_with_zero_height(self.velocities[i, real]),
-                    yaw=float(self.yaw[i]),
+                    orientation=self.orientations[i].copy(),
                     goal_radius=self.goal_radius,
                     max_cycles=self.max_cycles,
                     meta=meta[i] if meta else {},
@@ -99,7 +104,7 @@ class SceneBatch:
             velocities[i, :k] = scene.velocities[:, :2]
         return cls(
             targets=np.array([scene.target[:2] for scene in scenes]).reshape(n, 2),
-            yaw=np.array([scene.yaw for scene in scenes], dtype=float),
+            orientations=np.array([scene.orientation for scene in scenes]).reshape(n, 4),
             centres=centres,
             radii=radii,
             velocities=velocities,
@@ -120,7 +125,7 @@ class SceneBatch:
         centres, radii, velocities = (np.concatenate(parts) for parts in zip(*padded, strict=True))
         return cls(
             targets=np.concatenate([batch.targets for batch in batches]),
-            yaw=np.concatenate([batch.yaw for batch in batches]),
+            orientations=np.concatenate([batch.orientations for batch in batches]),
             centres=centres,
             radii=radii,
             velocities=velocities,
@@ -174,7 +179,7 @@ def scene_batch(
     course = np.stack([np.cos(heading), np.sin(heading)], axis=2)[rows, chosen]
     return SceneBatch(
         targets=targets,
-        yaw=yaw,
+        orientations=level_attitude(yaw),
         centres=np.where(used[..., None], centre[rows, chosen], FAR),
         radii=np.where(used, radius[rows, chosen], 0.0),
         velocities=np.where(used[..., None], speed * course, 0.0),
@@ -269,6 +274,12 @@ def validation_scenes(navigation: Navigation, n: int, seed: int) -> SceneBatch:
         counts=np.full(n, navigation.novel_obstacles),
         lateral=4.0,
     )
+
+
+def level_attitude(yaw: float | np.ndarray) -> np.ndarray:
+    """Return the (..., 4) unit quaternions w x y z of upright bodies with headings `yaw` (...,), rad."""
+    half, zero = np.asarray(yaw, float) / 2, np.zeros(np.shape(yaw))
+    return np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
 
 
 def _labels(kind: str, seed: int, n: int) -> list[dict]:
