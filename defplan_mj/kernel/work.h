@@ -1,0 +1,111 @@
+/* The memory of one step and what the files of the step share: energy.c writes a step down, solve.c
+ * solves it, derivatives.c differentiates it, measures.c measures a state. */
+#ifndef DEFPLAN_WORK_H
+#define DEFPLAN_WORK_H
+#include "internal.h"
+
+static const double SPEED2 = 1e-4; /* m^2/s^2: rounds the tangential drag at rest */
+static const double STANDARD_GRAVITY = 9.81;
+
+enum { MAX_N = 6 + DP_MAX_MODES };
+
+typedef struct {
+  double* next;
+} Arena;
+
+static inline double* take(Arena* arena, size_t n) {
+  double* p = arena->next;
+  arena->next += (n + PAD - 1) / PAD * PAD;
+  return p;
+}
+
+/* What a step needs in memory; everything is taken from one array on the caller's stack. */
+typedef struct {
+  const Body* body;
+  const double *par, *u;
+  Config now, one, two; /* the iterate, the last configuration, the one before */
+  double q_two[DP_MAX_MODES], q_now[DP_MAX_MODES];
+  double guess[3];                  /* c^ */
+  double *scratch, *scratch_lagged; /* kinematics */
+  double *P, *W;                    /* 9 x kp */
+  double *before, *area, *cn, *ct;  /* 3 np, 3 np, np, np: lagged drag quantities */
+  double *body_points, *w, *f, *D;  /* (1 + r) x 3 np, 3 np, 3 np, 6 np */
+  double *Jq, *DJ;                  /* r x 3 np */
+  double *gzeta, *Wg;               /* kp, 9 x kp */
+  double energy, g[MAX_N], H[MAX_N * MAX_N];
+} Work;
+
+static inline size_t work_size(const Body* b) {
+  size_t kp = b->kp, np = b->np, r = b->r, k3 = kinematics_scratch(b);
+  return PAD + 3 * (1 + r) * kp + 2 * (k3 + PAD) + 9 * kp * 2 + 3 * np * 2 + 2 * np + 3 * np * (3 + r) + 6 * np +
+         2 * (r * 3 * np) + kp + 9 * kp;
+}
+
+static inline void work_init(Work* w, double* memory, const Body* b, const double* par, const double* u) {
+  Arena arena = {(double*)(((size_t)memory + 63) / 64 * 64)};
+  size_t kp = b->kp, np = b->np, r = b->r;
+  w->body = b, w->par = par, w->u = u;
+  Config* all[3] = {&w->now, &w->one, &w->two};
+  for (int i = 0; i < 3; i++) all[i]->zeta = take(&arena, (1 + r) * kp), all[i]->dz = all[i]->zeta + kp;
+  w->scratch = take(&arena, kinematics_scratch(b)), w->scratch_lagged = take(&arena, kinematics_scratch(b));
+  w->P = take(&arena, 9 * kp), w->W = take(&arena, 9 * kp);
+  w->before = take(&arena, 3 * np), w->area = take(&arena, 3 * np);
+  w->cn = take(&arena, np), w->ct = take(&arena, np);
+  w->body_points = take(&arena, (1 + r) * 3 * np), w->w = take(&arena, 3 * np), w->f = take(&arena, 3 * np);
+  w->D = take(&arena, 6 * np);
+  w->Jq = take(&arena, r * 3 * np), w->DJ = take(&arena, r * 3 * np);
+  w->gzeta = take(&arena, kp), w->Wg = take(&arena, 9 * kp);
+}
+#define WORK(w, b, par, u)              \
+  double memory_of_##w[work_size(b)];   \
+  Work w;                               \
+  work_init(&w, memory_of_##w, b, par, u)
+
+/* out (3 x n) = R in, points or vectors as structure of arrays */
+static inline void rotate(const double* R, const double* restrict in, int n, double* restrict out) {
+  for (int i = 0; i < 3; i++) {
+    const double a = R[3 * i], b = R[3 * i + 1], c = R[3 * i + 2];
+    for (int s = 0; s < n; s++) out[i * n + s] = a * in[s] + b * in[n + s] + c * in[2 * n + s];
+  }
+}
+static inline void rotate_back(const double* R, const double* restrict in, int n, double* restrict out) {
+  for (int i = 0; i < 3; i++) {
+    const double a = R[i], b = R[3 + i], c = R[6 + i];
+    for (int s = 0; s < n; s++) out[i * n + s] = a * in[s] + b * in[n + s] + c * in[2 * n + s];
+  }
+}
+static inline double sum(const double* restrict a, int n) {
+  double s = 0;
+  for (int i = 0; i < n; i++) s += a[i];
+  return s;
+}
+static inline double inner(const double* restrict a, const double* restrict b, int n) {
+  double s = 0;
+  for (int i = 0; i < n; i++) s += a[i] * b[i];
+  return s;
+}
+/* sum over points of a x b */
+static inline void sum_cross(const double* restrict a, const double* restrict b, int n, double* out) {
+  double x = 0, y = 0, z = 0;
+  for (int s = 0; s < n; s++) {
+    x += a[n + s] * b[2 * n + s] - a[2 * n + s] * b[n + s];
+    y += a[2 * n + s] * b[s] - a[s] * b[2 * n + s];
+    z += a[s] * b[n + s] - a[n + s] * b[s];
+  }
+  out[0] = x, out[1] = y, out[2] = z;
+}
+
+/* --- energy.c */
+/* The configuration of state x, and the one before it from the velocities. */
+void work_unpack(Work* w, const double* x);
+/* Everything of a step that depends on the last two configurations only. With `derivatives`,
+ * dz of both as well. */
+void work_prepare(Work* w, int derivatives);
+/* Energy, gradient and Hessian at the iterate w->now, in (c, t, q) with R = exp([t]) R_now. */
+void work_assemble(Work* w);
+
+/* --- linear.c */
+/* L of A = L L^T (row-major, lower); 0 if A is not positive definite. */
+int cholesky(const double* A, int n, double* L);
+void cholesky_solve(const double* L, int n, const double* rhs, double* x);
+#endif
