@@ -76,3 +76,29 @@ def place(
         if q is not None:
             state[7 : 7 + physics.n_modes] = q
         physics.set_reduced_state(state)
+
+
+def spheres(
+    balls: list[tuple[float, float, float, float]],
+    target: tuple[float, float, float] = (20.0, 0.0, 0.0),
+    orientation=(1.0, 0.0, 0.0, 0.0),
+    **kwargs,
+) -> Scene:
+    """Return a scene with spheres (x, y, z, radius) and a start attitude w x y z."""
+    array = np.array(balls, float).reshape(-1, 4)
+    attitude = np.array(orientation, float) / np.linalg.norm(orientation)
+    return Scene(
+        np.array(target, float),
+        array[:, :3],
+        array[:, 3],
+        np.zeros((len(array), 3)),
+        "sphere",
+        attitude,
+        **kwargs,
+    )
+
+
+def attitudes(n: int, seed: int = 0) -> np.ndarray:
+    """Return n quaternions (n, 4), spread evenly over all attitudes, of both signs."""
+    quaternions = np.random.default_rng(seed).normal(size=(n, 4))
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)

@@ -1,14 +1,18 @@
-"""The laser against circles on paper."""
+"""The laser against circles and spheres on paper."""
 
 from __future__ import annotations
 
 import host_samples as samples
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.surrogate_env import scan as planar_scan
 
 CIRCLES = [(4.0, 1.0, 1.0), (-3.0, 2.0, 0.7), (1.0, -6.0, 2.0), (7.0, 8.0, 1.5)]
+SPHERES = [(4.0, 1.0, 1.0, 1.0), (-3.0, 2.0, -4.0, 0.7), (1.0, -6.0, 2.0, 2.0), (0.5, 0.3, 6.0, 1.5),
+           (-1.0, -2.0, -5.0, 1.2), (-5.0, -4.0, 3.0, 2.0)]  # fmt: skip
 
 
 def _analytic(position, yaw, circles, beams=64, laser_range=10.0):
@@ -24,6 +28,58 @@ def _analytic(position, yaw, circles, beams=64, laser_range=10.0):
             if discriminant > 0 and along > 0:
                 result[k] = min(result[k], along - np.sqrt(discriminant))
     return result
+
+
+def _analytic_spheres(position, rotation, spheres, beams=64, laser_range=10.0):
+    """Return the distance along each beam to the first sphere, from three sides of a triangle."""
+    result = np.full(beams, laser_range)
+    for k, beam in enumerate(beam_directions(beams, "spatial")):
+        direction = rotation @ beam
+        for *centre, radius in spheres:
+            offset = np.array(centre) - position
+            along = offset @ direction
+            across = np.linalg.norm(np.cross(offset, direction))
+            if across < radius and along > 0:
+                result[k] = min(result[k], along - np.sqrt(radius**2 - across**2))
+    return result
+
+
+def _spatial(spheres, **kwargs):
+    physics = samples.physics(8, space="spatial", **kwargs)
+    with physics.reset_context():
+        physics.set_scene(samples.spheres(spheres))
+    return physics
+
+
+def _scan_at(physics, quaternion, position=(0.0, 0.0, 0.0)) -> np.ndarray:
+    physics.data.qpos[:3], physics.data.qpos[3:7] = position, quaternion
+    physics.forward()
+    return physics.laser()
+
+
+def test_spherical_laser_equals_spheres_on_paper_at_all_attitudes():
+    physics = _spatial(SPHERES)
+    generator = np.random.default_rng(0)
+    seen = np.zeros(64, bool)
+    for quaternion in samples.attitudes(60):
+        position = generator.uniform(-1, 1, 3)
+        laser = _scan_at(physics, quaternion, position)
+        rotation = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+        assert laser == pytest.approx(_analytic_spheres(position, rotation, SPHERES), abs=1e-9)
+        assert (laser < 10).any() and (laser == 10).any()
+        seen |= laser < 10
+    assert seen.all()
+
+
+def test_spherical_laser_turns_with_the_body_and_the_world():
+    """Turning the world and the body alike changes nothing; turning the body alone does."""
+    centres = np.array(SPHERES)
+    plain = _scan_at(_spatial(SPHERES), [1.0, 0.0, 0.0, 0.0])
+    for quaternion in samples.attitudes(6, seed=1):
+        turned = centres.copy()
+        turned[:, :3] = Rotation.from_quat(quaternion, scalar_first=True).apply(centres[:, :3])
+        assert _scan_at(_spatial(turned), quaternion) == pytest.approx(plain, abs=1e-9)
+        assert np.abs(_scan_at(_spatial(SPHERES), quaternion) - plain).max() > 1
 
 
 def test_laser_equals_circles_on_paper():

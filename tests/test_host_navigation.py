@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco import rollout
+from scipy.spatial.transform import Rotation
 
 from defplan_mj.errors import DefplanError
 from defplan_mj.host.navigation import Navigate, navigation_environment
@@ -16,15 +17,16 @@ from defplan_mj.planning.scenes import Scene, level_attitude, novel_scenes
 from defplan_mj.task import Navigation
 
 NAVIGATION = Navigation()
+SPATIAL = Navigation(space="spatial")
 
 
 def _sampler(generator: np.random.RandomState) -> Scene:
     return novel_scenes(NAVIGATION, 1, int(generator.randint(2**31)))[0]
 
 
-def _environment(scene: Scene | None = None, **kwargs):
+def _environment(scene: Scene | None = None, navigation: Navigation = NAVIGATION, **kwargs):
     return navigation_environment(
-        samples.fish(), samples.gait(), NAVIGATION, _sampler, scene=scene, **kwargs
+        samples.fish(), samples.gait(), navigation, _sampler, scene=scene, **kwargs
     )
 
 
@@ -57,15 +59,16 @@ def test_cycles_equal_mujocos_rollout_to_the_bit():
         assert np.array_equal(states[:, 11 * (cycle + 1) - 1], np.tile(now, (3, 1)))
 
 
-@pytest.mark.parametrize("shape", ["cylinder", "sphere"])
-def test_reward_is_equation_2(shape):
+@pytest.mark.parametrize("space", ["planar", "spatial"])
+def test_reward_is_equation_2(space):
     target = np.array([3.0, 4.0, 2.0])
-    environment = _environment(samples.scene([], target=tuple(target), shape=shape))
+    make = samples.scene if space == "planar" else samples.spheres
+    environment = _environment(make([], target=tuple(target)), Navigation(space=space))
     environment.reset()
     before = environment.physics.com()
     step = environment.step(1)
     after = environment.physics.com()
-    axes = slice(2) if shape == "cylinder" else slice(3)  # scenes of cylinders are planar
+    axes = slice(2) if space == "planar" else slice(3)
     expected = np.sum((before - target)[axes] ** 2) - np.sum((after - target)[axes] ** 2)
     assert step.reward == pytest.approx(expected, abs=1e-12)
     assert step.discount == 1.0 and environment.task.outcome == "running"
@@ -196,6 +199,68 @@ def test_observation_is_the_same_wherever_the_episode_is_turned_to():
     for name in ("state", "target", "laser"):
         for other in observations[1:]:
             assert other[name] == pytest.approx(observations[0][name], abs=1e-5), name
+
+
+@pytest.mark.parametrize("quaternion", samples.attitudes(5))
+def test_spatial_episodes_start_at_any_attitude_and_keep_the_kernels_bits(quaternion):
+    scene = samples.spheres([(4.0, 1.0, -2.0, 2.0)], orientation=quaternion)
+    environment = _environment(scene, SPATIAL)
+    observation = environment.reset().observation
+    dynamics, table = samples.dynamics(), samples.gait().table()
+    x = dynamics.rest_state()
+    x[3:7] = scene.orientation
+    rotation = Rotation.from_quat(scene.orientation, scalar_first=True)
+    assert observation["target"] == pytest.approx(rotation.inv().apply(scene.target), abs=1e-9)
+    assert observation["laser"].min() < 10
+    for index in (0, 1, 2, 0):
+        environment.step(index)
+        x = dynamics.rollout(x, table[index])[-1]
+        assert np.array_equal(environment.physics.reduced_state(), x)
+
+
+def test_spheres_are_hit_and_missed_in_space():
+    above = (0.0, 0.0, 0.9, 0.5)  # over the fish; as a cylinder it would stand in its way
+    for ball, outcome in ((above, "running"), ((0.0, 0.0, 0.5, 0.5), "collision")):
+        environment = _environment(samples.spheres([ball]), SPATIAL)
+        environment.reset()
+        environment.step(0)
+        assert environment.task.outcome == outcome
+
+
+def test_a_target_overhead_is_reached_in_space_only_by_height():
+    for target, outcome in (((0.0, 0.0, 1.5), "running"), ((0.0, 0.0, 0.9), "success")):
+        environment = _environment(samples.spheres([], target=target), SPATIAL)
+        environment.reset()
+        environment.step(0)
+        assert environment.task.outcome == outcome
+
+
+@pytest.mark.parametrize(
+    ("scene", "space", "sentence"),
+    [
+        (samples.spheres([]), "planar", "planar task cannot use a scene of spheres: hand in a"),
+        (samples.scene([]), "spatial", "of cylinders: hand in a scene of spheres, or set nav"),
+    ],
+)
+def test_a_scene_of_another_space_is_refused(scene, space, sentence):
+    with pytest.raises(DefplanError, match=sentence):
+        _environment(scene, Navigation(space=space)).reset()
+
+
+def test_spatial_state_is_what_its_docstring_says():
+    environment = _environment(samples.spheres([], orientation=(0.3, -0.5, 0.7, 0.2)), SPATIAL)
+    environment.reset()
+    environment.step(1)
+    physics, r = environment.physics, samples.fish().n_modes
+    state = environment.task.get_observation(physics)["state"]
+    assert state.shape == (16 + 2 * r,)
+    x = physics.reduced_state()
+    rotation = Rotation.from_quat(x[3:7], scalar_first=True)
+    assert state[0] == x[2] and np.array_equal(state[10 : 10 + r], x[7 : 7 + r])
+    assert state[1:10] == pytest.approx(rotation.as_matrix().ravel(), abs=1e-12)
+    velocity = rotation.apply(state[10 + r : 13 + r])
+    assert velocity == pytest.approx(x[7 + r : 10 + r], abs=1e-12)
+    assert np.array_equal(state[13 + r :], x[10 + r :])
 
 
 def test_state_is_what_its_docstring_says():

@@ -1,40 +1,42 @@
-"""The 360-degree laser scanner: MuJoCo's ray casting in the horizontal plane through the centre of mass."""
+"""The laser scanner: MuJoCo's ray casting from the centre of mass, around the horizon or all around."""
 
 from __future__ import annotations
-
-import functools
 
 import mujoco
 import numpy as np
 
 from defplan_mj.host.scene import DECOR_GROUP
+from defplan_mj.planning.beams import beam_directions
+from defplan_mj.task import SPACES
 
 _GROUPS = np.array([group != DECOR_GROUP for group in range(mujoco.mjNGROUP)], np.uint8)
+SPACE_OF = {dimension: space for space, dimension in SPACES.items()}
 
 
 def scan(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     origin: np.ndarray,
-    yaw: float,
+    frame: np.ndarray,
     beams: int,
     laser_range: float,
     bodyexclude: int = -1,
 ) -> np.ndarray:
     """Return the (beams,) distances to the nearest geom, m; `laser_range` where there is none.
 
-    Beam k points 2 pi k / beams to the left of the heading. Geoms of the decor group, invisible ones
-    and those of the body `bodyexclude` are not seen; nor are sites and skins.
+    The beams are those of `planning.beams`: around a circle in a planar frame, over a sphere in a
+    spatial one. Geoms of the decor group, invisible ones and those of the body `bodyexclude` are not
+    seen; nor are sites and skins.
 
     Args:
         origin: (3,) world position, m.
-        yaw: heading, rad.
+        frame: (3, d) the axes, as columns in the world, of the frame that the beams turn with;
+            d is 2 (ahead, left) or 3 (a whole attitude).
     """
-    x, y = unit_circle(beams)
-    cos, sin = np.cos(yaw), np.sin(yaw)
+    directions = beam_directions(beams, SPACE_OF[frame.shape[1]])
     rays = np.zeros((beams, 3))
-    rays[:, 0] = cos * x - sin * y
-    rays[:, 1] = sin * x + cos * y
+    for axis, along in zip(frame.T, directions.T, strict=True):
+        rays += along[:, None] * axis
     distance = np.empty(beams)
     geom = np.empty(beams, np.int32)
     mujoco.mj_multiRay(
@@ -53,10 +55,3 @@ def scan(
     )
     distance[(distance < 0) | (distance > laser_range)] = laser_range
     return distance
-
-
-@functools.lru_cache
-def unit_circle(beams: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return cosine and sine of the (beams,) beam angles in the body's frame."""
-    angle = 2 * np.pi * np.arange(beams) / beams
-    return np.cos(angle), np.sin(angle)

@@ -20,6 +20,7 @@ from defplan_mj.planning.scenes import Scene
 from defplan_mj.task import Navigation
 
 COLLISION_PENALTY = 1000.0  # Eq. 2
+_SHAPE_OF = {"planar": "cylinder", "spatial": "sphere"}
 
 SceneSampler = Callable[[np.random.RandomState], Scene]
 StepHook = Callable[[Physics, np.ndarray], None]
@@ -31,9 +32,9 @@ class Navigate(base.Task):
     The surface is checked against all obstacles after every physics step; the episode ends within
     the cycle, at the physics step where the target is reached or an obstacle touched.
 
-    Scenes of upright cylinders are planar problems, as in the paper: the distance from the target
+    In the plane obstacles are upright cylinders, as in the paper, and the distance from the target
     is the horizontal one, so that drifting up or down is neither a way out nor held against the
-    robot. In scenes of spheres it is the distance in space.
+    robot. In space obstacles are spheres and the distance is that in space.
 
     Attributes:
         scene: of this episode; setting it takes effect at the next reset.
@@ -84,8 +85,13 @@ class Navigate(base.Task):
         self._fixed = scene
 
     def initialize_episode(self, physics: Physics) -> None:
-        """Place the robot at rest at the origin, in its scene."""
+        """Place the robot at rest at the origin, in its scene.
+
+        Raises:
+            DefplanError: the scene is of another space than the robot navigates in.
+        """
         self._scene = self._fixed if self._fixed is not None else self._sampler(self.random)
+        _check_space(physics.space, self._scene)
         physics.set_scene(self._scene)
         state = np.zeros(13 + 2 * physics.n_modes)
         state[3:7] = self._scene.orientation
@@ -138,10 +144,10 @@ class Navigate(base.Task):
         return float(np.linalg.norm(self._offset(physics.com())))
 
     def _offset(self, centre: np.ndarray) -> np.ndarray:
-        """Return `centre` minus the target; level for scenes of cylinders, which are planar."""
+        """Return `centre` minus the target; level in the plane."""
         scene = self._here()
         offset = centre - scene.target
-        if scene.shape == "cylinder":
+        if scene.shape == _SHAPE_OF["planar"]:
             offset[2] = 0.0
         return offset
 
@@ -170,22 +176,23 @@ class Navigate(base.Task):
 def reduced_observation(
     physics: Physics, target: np.ndarray
 ) -> collections.OrderedDict[str, np.ndarray]:
-    """Return what a planner sees, float64, in the body's yaw frame (x forward, y left, z up).
+    """Return what a planner sees, float64, in the frame that it turns with: see `Physics.frame`.
 
-    'state' (11 + 2r,): height (m), orientation without yaw as a quaternion w x y z, modal
-    coordinates, velocity (m/s), angular velocity in the body frame (rad/s), modal velocities;
-    'target' (3,): its position relative to the centre of mass, m; 'laser' (beams,): see `laser.scan`.
+    In the plane that is the yaw frame (x forward, y left, z up), in space the body's.
+
+    'state': height (m); attitude; modal coordinates; velocity in the frame (m/s); angular velocity
+    in the body frame (rad/s); modal velocities. The attitude is, in the plane, the orientation
+    without yaw as a quaternion w x y z, so (11 + 2r,) in all; in space it is the whole rotation
+    matrix, row by row, which has no jumps at any attitude, so (16 + 2r,). 'target' (3,): its
+    position in the frame relative to the centre of mass, m. 'laser' (beams,): see `laser.scan`.
     """
-    frame, yaw, quaternion = physics.yaw_frame(), physics.yaw(), physics.data.qpos[3:7]
-    cos, sin = np.cos(-yaw / 2), np.sin(-yaw / 2)
-    w, x, y, z = quaternion
-    tilt = np.array([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w])
-    tilt *= 1.0 if tilt[0] >= 0 else -1.0
+    planar = physics.space == "planar"
+    frame = physics.yaw_frame() if planar else physics.orientation()
     centre = physics.com()
     state = np.concatenate(
         [
             centre[2:],
-            tilt,
+            _tilt(physics) if planar else frame.ravel(),
             physics.shape(),
             physics.data.qvel[:3] @ frame,
             physics.data.qvel[3:6],
@@ -197,6 +204,24 @@ def reduced_observation(
     observation["target"] = (np.asarray(target) - centre) @ frame
     observation["laser"] = physics.laser()
     return observation
+
+
+def _tilt(physics: Physics) -> np.ndarray:
+    """Return the orientation without yaw as a quaternion (4,) w x y z, w not negative."""
+    yaw = physics.yaw()
+    cos, sin = np.cos(-yaw / 2), np.sin(-yaw / 2)
+    w, x, y, z = physics.data.qpos[3:7]
+    tilt = np.array([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w])
+    return tilt if tilt[0] >= 0 else -tilt
+
+
+def _check_space(space: str, scene: Scene) -> None:
+    if scene.shape != _SHAPE_OF[space]:
+        other = next(name for name, shape in _SHAPE_OF.items() if shape != _SHAPE_OF[space])
+        raise DefplanError(
+            f"a {space} task cannot use a scene of {scene.shape}s: hand in a scene of"
+            f" {_SHAPE_OF[space]}s, or set navigation.space to {other!r}"
+        )
 
 
 def navigation_environment(
@@ -214,7 +239,7 @@ def navigation_environment(
     """Return the navigation task of `body` with `gait` as a dm_control environment.
 
     Args:
-        navigation: beams and range of the laser, goal and limits of sampled scenes.
+        navigation: the space, beams and range of the laser, goal and limits of sampled scenes.
         sampler: draws scenes with the task's generator.
         scene: keep to this one; later ones are set as `env.task.scene`.
         time_limit: s; a scene's own max_cycles holds anyway.
@@ -240,6 +265,7 @@ def navigation_environment(
         max_obstacles=max_obstacles,
         beams=navigation.beams,
         laser_range=navigation.laser_range,
+        space=navigation.space,
         texture=texture_of(body),
     )
     task = Navigate(gait, sampler, scene=scene, time_limit=time_limit, random=random)

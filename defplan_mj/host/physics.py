@@ -39,6 +39,11 @@ class Physics(engine.Physics):
     # ---- the reduced state
 
     @property
+    def space(self) -> str:
+        """'planar' or 'spatial': where the robot navigates, and so what its laser sees."""
+        return laser.SPACE_OF[int(self._numeric("laser")[2])]
+
+    @property
     def n_modes(self) -> int:
         """r, the number of modal coordinates."""
         return self._numeric("defplan_scale").size
@@ -104,6 +109,13 @@ class Physics(engine.Physics):
         cos, sin = np.cos(yaw), np.sin(yaw)
         return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
+    def frame(self) -> np.ndarray:
+        """Return the (3, d) axes, as columns in the world, that planning turns with: see `space`.
+
+        In the plane the heading and what lies to its left (d = 2), in space the body's own axes (d = 3).
+        """
+        return self.yaw_frame()[:, :2] if self.space == "planar" else self.orientation()
+
     def upright(self) -> float:
         """Return the cosine of the angle between the body's up and the vertical."""
         return float(self.orientation()[2, 2])
@@ -133,13 +145,13 @@ class Physics(engine.Physics):
 
     def laser(self) -> np.ndarray:
         """Return the (beams,) laser distances, m; see `laser.scan`."""
-        beams, laser_range = self._numeric("laser")
+        beams, laser_range, _ = self._numeric("laser")
         robot = self.model.name2id(ROBOT, "body")
         return laser.scan(
             self.model.ptr,
             self.data.ptr,
             self.com(),
-            self.yaw(),
+            self.frame(),
             int(beams),
             float(laser_range),
             robot,

@@ -11,6 +11,7 @@ from defplan_mj.host import skin
 from defplan_mj.host.plugin import NAME as PLUGIN
 from defplan_mj.host.plugin import load_plugin
 from defplan_mj.kernel.pack import pack_body, pack_options
+from defplan_mj.task import SPACES
 
 ROBOT = "robot"
 ROOT = "root"
@@ -33,6 +34,7 @@ def build_spec(
     max_obstacles: int = 0,
     beams: int = 64,
     laser_range: float = 10.0,
+    space: str = "planar",
     texture: np.ndarray | None = None,
 ) -> mujoco.MjSpec:
     """Describe a robot with `body` that floats at the origin, a target, parked obstacles and cameras.
@@ -40,7 +42,8 @@ def build_spec(
     The spec may be added to (geoms, bodies, sensors) before it is compiled. Names: body 'robot', its
     free joint 'root', slide joints 'mode_0'..., actuators 'target_0'..., sensor 'clearance', site
     'target', mocap bodies and geoms 'obstacle_0'... (and geoms 'obstacle_0_drawn'...), cameras
-    'chase', 'side', 'top', numeric 'laser' (number of beams, range in m), text 'body_hash'.
+    'chase', 'side', 'top', numeric 'laser' (number of beams, range in m,
+    dimension of its space), text 'body_hash'.
 
     Args:
         timestep: of the reduced step, s.
@@ -48,6 +51,7 @@ def build_spec(
             false, ctrl is the target shape itself, within the amplitude.
         max_obstacles: how many obstacles a planning.scenes.Scene may have here.
         beams, laser_range: of the laser scanner; range in m.
+        space: 'planar' or 'spatial', see task.Navigation; the laser is of the same kind.
         texture: of the skin, see `skin.add_skin`.
     """
     load_plugin()
@@ -59,7 +63,7 @@ def build_spec(
     _add_looks(spec)
     _add_robot(spec, body, timestep, normalised_controls)
     skin.add_skin(spec, body, ROBOT, "self", texture)
-    spec.add_numeric(name="laser", data=[float(beams), laser_range])
+    spec.add_numeric(name="laser", data=[float(beams), laser_range, float(SPACES[space])])
     # a site away from its body's origin: one compiled at the origin could not be moved
     spec.worldbody.add_site(
         name=TARGET, pos=[5, 0, 0], size=[0.5, 0.5, 0.5], material=TARGET, group=0
