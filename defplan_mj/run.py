@@ -142,7 +142,7 @@ class Run:
         def make() -> Iterable[Path]:
             gait = self._solve(solver, "gait")
             gait.save(path)
-            measured = evaluate_switching(self.dynamics, gait, SWITCHING_CYCLES, self.options.seed)
+            measured = evaluate_switching(self.problem, gait, SWITCHING_CYCLES, self.options.seed)
             write_json(switching, {"gait": measured.to_json()})
             return [path, switching]
 
@@ -155,6 +155,9 @@ class Run:
             "timestep": spec.timestep,
             "steps_per_cycle": spec.steps_per_cycle,
             "steps": spec.gait_steps,
+            "space": spec.navigation.space,
+            "weights": dataclasses.asdict(spec.weights),
+            "axis": spec.axis,
             "switching": SWITCHING_CYCLES,
         }
         self._make("gait", inputs, make)
@@ -312,8 +315,7 @@ class Run:
         """Eq. 1 for the task's body."""
         from defplan_mj.gait.problem import GaitProblem
 
-        spec = self.spec
-        return GaitProblem(self.dynamics, spec.gait_tasks, spec.steps_per_cycle, spec.gait_steps)
+        return GaitProblem.of(self.spec, self.dynamics)
 
     def _solve(self, solver: Any, stage: str) -> Gait:
         """Let a gait solver solve the problem; Ctrl-C is heard meanwhile."""
@@ -408,13 +410,13 @@ def compare(problem: GaitProblem, name: str, gait: Gait, seconds: float) -> dict
 
     sequences = problem.switching_sequences(np.random.default_rng(_OTHER_SEQUENCES))
     cost = problem.objective(sequences)(w=problem.w_of(gait))["cost"]
-    switched = evaluate_switching(problem.dynamics, gait, SWITCHING_CYCLES, seed=0)
+    switched = evaluate_switching(problem, gait, SWITCHING_CYCLES, seed=0)
     return {
         "name": name,
         "seconds": gait.meta.get("seconds", seconds),
         "objective": gait.meta.get("objective"),
         "resimulated": float(cost),
-        "advance_m": switched.tasks()[0]["advance_m"],
+        "advance_m": switched.rows()[0]["advance_m"],
         "falls": switched.falls,
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -48,17 +49,70 @@ class BodyOptions:
 
 @dataclass(frozen=True)
 class GaitTask:
-    """One task of the multitask gait: what a cycle of it should do, in the body frame.
+    """One task of the multitask gait: what a cycle of it should do, in the frame at its start.
+
+    That frame is the body's own in space, and its yaw frame (x ahead, z up) in the plane.
 
     Attributes:
         name: e.g. 'left'.
-        yaw: wanted yaw a cycle, rad (left is positive).
-        speed: wanted advance a cycle, m.
+        turn: wanted rotation of a cycle, rad (a rotation vector; in the plane (0, 0, yaw)).
+        move: wanted displacement of a cycle, m.
     """
 
     name: str
-    yaw: float = 0.0
-    speed: float = 1.0
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    move: tuple[float, float, float] = (1.0, 0.0, 0.0)
+
+    @property
+    def angle(self) -> float:
+        """Of the wanted rotation, rad."""
+        return math.hypot(*self.turn)
+
+    @property
+    def advance(self) -> float:
+        """Length of the wanted displacement, m."""
+        return math.hypot(*self.move)
+
+    @property
+    def turn_axis(self) -> tuple[float, ...]:
+        """Unit vector of the wanted rotation, or zeros."""
+        return tuple(value / (self.angle or 1.0) for value in self.turn)
+
+    @property
+    def direction(self) -> tuple[float, ...]:
+        """Unit vector of the wanted displacement, or zeros."""
+        return tuple(value / (self.advance or 1.0) for value in self.move)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of a gait's objective E_obj, per cycle.
+
+    Attributes:
+        turn: of the squared error of a cycle's rotation: of the yaw in the plane, of where the
+            body's own axis points in space, 1/rad^2.
+        move: of the squared shortfall of its advance in the wanted direction, 1/m^2.
+        drift: of the squared displacement across that direction (all of it if none is wanted), 1/m^2.
+        roll: in space, of the squared rotation about the own axis, 1/rad^2.
+        tilt: in the plane, of the mean squared tilt, 1/rad^2.
+        upright: in the plane, of the mean squared excess of the squared tilt over (15 degrees)^2,
+            1/rad^4.
+        sink: in the plane, of the squared change of depth, 1/m^2.
+        off_plane: of the mean squared target shape, in units of the amplitude, in modes that do not
+            bend the body sideways: a fish swims with its tail, not like a corkscrew. 0: gaits use
+            all modes alike, from the start on.
+        sharpness: of the mean squared beta.
+    """
+
+    turn: float = 2.0
+    move: float = 6.0
+    drift: float = 0.0
+    roll: float = 0.0
+    tilt: float = 1.0
+    upright: float = 10.0
+    sink: float = 20.0
+    off_plane: float = 0.0
+    sharpness: float = 1e-3
 
 
 @dataclass(frozen=True)
@@ -112,6 +166,9 @@ class TaskSpec:
         steps_per_cycle: steps in one gait cycle.
         gait_tasks: what the gaits should do.
         gait_steps: N_1, steps of a gait trajectory.
+        weights: of the gaits' objective.
+        axis: the body's own axis, a unit vector of its frame: where it heads, and what a turn in
+            space is about to tilt.
         navigation: the second stage.
         gait_solver, planner: default plugins, by name.
         paper: the paper's figures for this example (Tables I to III), for the report.
@@ -125,6 +182,8 @@ class TaskSpec:
     steps_per_cycle: int
     gait_tasks: tuple[GaitTask, ...]
     gait_steps: int = 200
+    weights: Weights = Weights()
+    axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
     navigation: Navigation = Navigation()
     gait_solver: str = "shooting"
     planner: str = "dql"

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from defplan_mj.gait.gait import Gait
-from defplan_mj.gait.problem import GaitProblem, lateral_share
+from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.task import Progress, no_progress
 from defplan_solvers.trajectories import Trajectories
 
@@ -120,7 +120,7 @@ class Alternating:
         began = time.perf_counter()
         rng = np.random.default_rng(seed)
         sequences = problem.switching_sequences(rng)
-        straight = min(range(problem.n_tasks), key=lambda j: abs(problem.tasks[j].yaw))
+        straight = min(range(problem.n_tasks), key=lambda j: problem.tasks[j].angle)
         alone = problem.alone(straight)
         total = self.starts * self.start_rounds + 3 * self.rounds  # an all-task round takes longer
         stages, trials = [], []
@@ -217,7 +217,7 @@ def _of_w_alone(problem: GaitProblem) -> ca.Function:
 def _random_gait(alone: GaitProblem, rng: np.random.Generator) -> np.ndarray:
     """Return w of one task: any phases, a little motion, mostly in the modes that bend sideways."""
     d, r = alone.elements, alone.dynamics.nu
-    share = 0.05 + 0.95 * lateral_share(alone.dynamics.body)
+    share = 0.05 + 0.95 * alone.mode_share
     mu = rng.uniform(0, 2 * np.pi, (d, r))
     alpha = 0.3 * share * rng.normal(size=(1, d, r))
     return alone.join(mu, alpha, 1 + 0.3 * rng.normal(size=(1, d, r)))

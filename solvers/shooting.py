@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from defplan_mj.gait.gait import Gait
-from defplan_mj.gait.problem import GaitProblem, lateral_share
+from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.task import Progress, no_progress
 
 IPOPT = {
@@ -96,9 +96,9 @@ class Shooting:
     ) -> tuple[np.ndarray, dict]:
         """Optimise the straight task alone from a random start, and spread it to all tasks."""
         d, r = problem.elements, problem.dynamics.nu
-        task = min(range(problem.n_tasks), key=lambda j: abs(problem.tasks[j].yaw))
+        task = min(range(problem.n_tasks), key=lambda j: problem.tasks[j].angle)
         alone = problem.alone(task)
-        share = 0.05 + 0.95 * lateral_share(problem.dynamics.body)
+        share = 0.05 + 0.95 * problem.mode_share
         mu = rng.uniform(0, 2 * np.pi, (d, r))
         alpha = 0.3 * share * rng.normal(size=(1, d, r))
         beta = 1 + 0.3 * rng.normal(size=(1, d, r))

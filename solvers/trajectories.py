@@ -13,29 +13,22 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
-from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.gait.problem import GaitProblem, quaternion_product
 
 _TRIALS = 8  # of the damping, before Newton gives up
 _TURN, _SHAPE = 0.3, 0.1  # metres that one radian, and one unit of q, count in a residual
 
 
-def _quaternion_product(a: ca.SX, b: ca.SX) -> ca.SX:
-    return ca.vertcat(
-        a[0] * b[0] - ca.dot(a[1:4], b[1:4]),
-        a[0] * b[1:4] + b[0] * a[1:4] + ca.cross(a[1:4], b[1:4]),
-    )
-
-
 def _retract(x: ca.SX, step: ca.SX) -> ca.SX:
     """Move a state by a tangent step (nx - 1): rotation vectors in the body frame."""
     turn = ca.vertcat(1, step[3:6] / 2)
-    quat = _quaternion_product(x[3:7], turn)
+    quat = quaternion_product(x[3:7], turn)
     return ca.vertcat(x[:3] + step[:3], quat / ca.norm_2(quat), x[7:] + step[6:])
 
 
 def _difference(a: ca.SX, b: ca.SX) -> ca.SX:
     """Tangent step from state b to state a; rotation by twice the sine of half the angle's vector."""
-    turn = _quaternion_product(ca.vertcat(b[3], -b[4:7]), a[3:7])
+    turn = quaternion_product(ca.vertcat(b[3], -b[4:7]), a[3:7])
     return ca.vertcat(a[:3] - b[:3], 2 * ca.sign(turn[0]) * turn[1:4], a[7:] - b[7:])
 
 
@@ -128,16 +121,16 @@ class Trajectories:
         """E_obj of one cycle by its states (nx, n + 1), start first: value; gradient and Hessian."""
         n, nt = self.n, self.nt
         x, step = ca.SX.sym("x", self.nx, n + 1), ca.SX.sym("step", nt, n + 1)
-        yaw, speed = ca.SX.sym("yaw"), ca.SX.sym("speed")
+        wanted = ca.SX.sym("wanted", 7)
         moved = ca.horzcat(*(_retract(x[:, i], step[:, i]) for i in range(n + 1)))
-        cost = self.problem.cycle_cost(moved[:, 0], moved[:, 1:], yaw, speed) / judged
+        cost = self.problem.cycle_cost(moved[:, 0], moved[:, 1:], wanted) / judged
         hessian, gradient = ca.hessian(cost, ca.vec(step))
         zero = ca.DM.zeros(nt, n + 1)
         at = [ca.substitute(value, step, zero) for value in (cost, gradient, hessian)]
-        value = ca.Function("cycle", [x, yaw, speed], at[:1])
+        value = ca.Function("cycle", [x, wanted], at[:1])
         return (
             value,
-            ca.Function("cycle", [x, yaw, speed], [ca.densify(at[1]), at[2]]),
+            ca.Function("cycle", [x, wanted], [ca.densify(at[1]), at[2]]),
             at[2].sparsity(),
         )
 
@@ -152,15 +145,14 @@ class Trajectories:
         before[::steps] = -1
         self._shape_index = (width * np.arange(total)[:, None] + nt + np.arange(r)).ravel()
         self._stage_index = np.hstack([before, self._shape_index.reshape(-1, r), state])
-        starts, yaws, speeds = [], [], []
+        starts, tasks = [], []
         for t, sequence in enumerate(self.sequences):
             for c in range(self.settle, len(sequence)):
                 starts.append(t * steps + c * n)
-                yaws.append(self.problem.tasks[sequence[c]].yaw)
-                speeds.append(self.problem.tasks[sequence[c]].speed)
+                tasks.append(sequence[c])
         self._cycle_states = np.array(starts)[:, None] + np.arange(-1, n)  # -1: the state before
         self._first = np.array(starts) % steps == 0
-        self._yaws, self._speeds = np.array(yaws)[:, None], np.array(speeds)[:, None]
+        self._wanted = self.problem.wanted.T[tasks]
         self._cycle_index = np.where(
             self._first[:, None, None] & (np.arange(n + 1) == 0)[None, :, None],
             -1,
@@ -211,7 +203,7 @@ class Trajectories:
     def parts(self, states: np.ndarray, shapes: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         """Return E_phys, E_obj and E_dmp (means over steps, without weights)."""
         (residual,) = self._stage(self._before(states), shapes, states)
-        (costs,) = self._cycle(self._cycles(states), self._yaws, self._speeds)
+        (costs,) = self._cycle(self._cycles(states), self._wanted)
         dmp = ((shapes - wanted) ** 2).sum()
         return np.array([(residual**2).sum() / self.total, costs.sum(), dmp / self.total])
 
@@ -221,9 +213,7 @@ class Trajectories:
         """Return gradient and Hessian entries of physics E_phys + E_obj + dmp E_dmp."""
         residual, jacobian = self._stage_jacobian(self._before(states), shapes, states)
         jacobian = jacobian.reshape(self.total, -1, self.nt)  # transposed
-        gradient_cycle, hessian_cycle = self._cycle_derivatives(
-            self._cycles(states), self._yaws, self._speeds
-        )
+        gradient_cycle, hessian_cycle = self._cycle_derivatives(self._cycles(states), self._wanted)
         factor = 2 * physics / self.total
         gradient = np.zeros(self.size + 1)  # the last entry takes what belongs to fixed starts
         np.add.at(gradient, self._stage_index, factor * np.einsum("mai,mi->ma", jacobian, residual))

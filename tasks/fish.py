@@ -17,7 +17,7 @@ from defplan_mj.host.navigation import navigation_environment
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import TARGET, build_spec, compile_model
 from defplan_mj.planning.scenes import Scene, novel_scenes
-from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec
+from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec, Weights
 
 ASSETS = Path(__file__).parent / "assets"
 
@@ -29,11 +29,12 @@ SWIM = TaskSpec(
     timestep=0.04,
     steps_per_cycle=11,
     gait_tasks=(
-        GaitTask("forward", speed=0.7),
-        GaitTask("left", yaw=0.8, speed=0.45),
-        GaitTask("right", yaw=-0.8, speed=0.45),
+        GaitTask("forward", move=(0.7, 0.0, 0.0)),
+        GaitTask("left", turn=(0.0, 0.0, 0.8), move=(0.45, 0.0, 0.0)),
+        GaitTask("right", turn=(0.0, 0.0, -0.8), move=(0.45, 0.0, 0.0)),
     ),
     gait_steps=200,
+    weights=Weights(off_plane=0.15),
     navigation=Navigation(),
     # Tables I to III; hours are the paper's own, tasks in its order: left, right, forward.
     paper={

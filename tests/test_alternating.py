@@ -10,7 +10,7 @@ import pytest
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.problem import GaitProblem
-from defplan_mj.task import GaitTask
+from defplan_mj.task import GaitTask, Weights
 from defplan_solvers.alternating import SOLVER, Fit
 from defplan_solvers.trajectories import Trajectories
 
@@ -20,9 +20,12 @@ PHYSICS, DMP = 30.0, 0.7
 
 @pytest.fixture(scope="module")
 def problem(small_fish: Body) -> GaitProblem:
-    tasks = (GaitTask("forward", speed=0.5), GaitTask("left", yaw=0.6, speed=0.3))
+    tasks = (
+        GaitTask("forward", move=(0.5, 0, 0)),
+        GaitTask("left", turn=(0, 0, 0.6), move=(0.3, 0, 0)),
+    )
     return GaitProblem(
-        ReducedDynamics(small_fish), tasks, steps_per_cycle=6, gait_steps=18, elements=3
+        ReducedDynamics(small_fish), tasks, 6, 18, elements=3, weights=Weights(off_plane=0.15)
     )
 
 

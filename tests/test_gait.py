@@ -16,18 +16,15 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.gait import switching
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem, balanced_sequence, lateral_share
-from defplan_mj.task import GaitTask
+from defplan_mj.task import GaitTask, Weights
+from defplan_tasks.fish import SWIM
 
-TASKS = (
-    GaitTask("forward", speed=0.7),
-    GaitTask("left", yaw=0.8, speed=0.45),
-    GaitTask("right", yaw=-0.8, speed=0.45),
-)
+TASKS, WEIGHTS = SWIM.gait_tasks, SWIM.weights
 
 
 @pytest.fixture(scope="module")
 def problem(small_fish: Body) -> GaitProblem:
-    return GaitProblem(ReducedDynamics(small_fish), TASKS, steps_per_cycle=11, gait_steps=33)
+    return GaitProblem(ReducedDynamics(small_fish), TASKS, 11, gait_steps=33, weights=WEIGHTS)
 
 
 @pytest.fixture(scope="module")
@@ -95,8 +92,8 @@ def test_the_objective_is_the_cost_of_the_simulated_cycles(
         tilt2 = 2 * (1 - turns.apply([0, 0, 1.0])[1:, 2])
         task = TASKS[sequence[cycle]]
         costs.append(
-            weights.yaw * (yaw - task.yaw) ** 2
-            + weights.speed * max(0, task.speed - heading @ move[:2]) ** 2
+            weights.turn * (yaw - task.turn[2]) ** 2
+            + weights.move * max(0, task.move[0] - heading @ move[:2]) ** 2
             + weights.tilt * tilt2.mean()
             + weights.upright * (np.maximum(0, tilt2 - np.radians(15) ** 2) ** 2).mean()
             + weights.sink * move[2] ** 2
@@ -142,25 +139,128 @@ def test_switching_measures_cycles_in_the_frame_of_their_start(
     problem: GaitProblem, unknowns: np.ndarray
 ) -> None:
     gait, dynamics = problem.gait(unknowns, {}), problem.dynamics
-    measured = switching.evaluate_switching(dynamics, gait, cycles=12, seed=5)
+    measured = switching.evaluate_switching(problem, gait, cycles=12, seed=5)
     x = dynamics.rollout(dynamics.rest_state(), gait.table()[measured.task].reshape(132, -1))[::11]
     for cycle in range(12):
         start = Rotation.from_quat(x[cycle, [4, 5, 6, 3]])
         yaw = start.as_euler("ZYX")[0]
         move = Rotation.from_euler("z", -yaw).apply(x[cycle + 1, :3] - x[cycle, :3])
+        np.testing.assert_allclose(move, measured.move[cycle], atol=1e-12)
         np.testing.assert_allclose(move[0], measured.advance[cycle], atol=1e-12)
-        np.testing.assert_allclose(move[1], measured.drift[cycle], atol=1e-12)
-    again = switching.evaluate_switching(dynamics, gait, cycles=12, seed=5)
-    np.testing.assert_array_equal(again.yaw, measured.yaw)
+        np.testing.assert_allclose(abs(move[1]), measured.drift[cycle], atol=1e-12)
+    again = switching.evaluate_switching(problem, gait, cycles=12, seed=5)
+    np.testing.assert_array_equal(again.turn, measured.turn)
 
 
 def test_a_tilted_or_backward_cycle_is_a_fall() -> None:
-    fine = {"drift": np.zeros(4), "rise": np.zeros(4), "yaw": np.zeros(4)}
     measured = switching.Switching(
-        task_names=("a",),
+        tasks=TASKS[:1],
+        space="planar",
+        length=1.0,
         task=np.zeros(4, int),
-        advance=np.array([-1.0, 1.0, -0.1, 1.0]),  # the first cycles start from rest
+        move=np.outer([-1.0, 1.0, -0.1, 1.0], [1, 0, 0]),  # the first cycles start from rest
+        turn=np.zeros((4, 3)),
         tilt=np.radians([0, 0, 0, 31.0]),
-        **fine,
     )
     assert measured.falls == 2
+
+
+# --- in space
+
+AXIS = np.array([0.0, 0.0, 1.0])
+SPATIAL = (
+    GaitTask("ahead", move=(0, 0, 0.3)),
+    GaitTask("over", turn=(0.2, 0.4, 0), move=(0, 0, 0)),
+)
+IN_SPACE = Weights(drift=3.0, roll=0.7)
+
+
+@pytest.fixture(scope="module")
+def spatial(small_fish: Body) -> GaitProblem:
+    return GaitProblem(
+        *(ReducedDynamics(small_fish), SPATIAL, 11, 33),
+        space="spatial",
+        weights=IN_SPACE,
+        axis=AXIS,
+    )
+
+
+def test_in_space_a_cycle_costs_the_papers_orientation_error_roll_and_displacement(
+    spatial: GaitProblem, unknowns: np.ndarray
+) -> None:
+    rng = np.random.default_rng(4)
+    for task, column in zip(SPATIAL, spatial.wanted.T, strict=True):
+        start, end = Rotation.random(rng=rng), Rotation.from_rotvec(0.3 * rng.normal(size=3))
+        x = rng.normal(size=(12, spatial.dynamics.nx))
+        x[0, 3:7], x[-1, 3:7] = (a.as_quat(scalar_first=True) for a in (start, start * end))
+        cost = float(spatial.cycle_cost(x[0], x[1:].T, column))
+        target = Rotation.from_rotvec(task.turn)
+        paper = ((end.apply(AXIS) - target.apply(AXIS)) ** 2).sum()
+        roll = 4 * ((target.inv() * end).as_quat()[:3] @ AXIS) ** 2
+        move = start.inv().apply(x[-1, :3] - x[0, :3])
+        along = move @ task.direction
+        drift = ((move - along * np.array(task.direction)) ** 2).sum()
+        wanted = IN_SPACE.move * max(0, task.advance - along) ** 2 + IN_SPACE.drift * drift
+        assert cost == pytest.approx(IN_SPACE.turn * paper + IN_SPACE.roll * roll + wanted)
+
+
+def test_in_space_the_gradient_is_exact_and_the_start_attitude_does_not_matter(
+    spatial: GaitProblem,
+) -> None:
+    rng = np.random.default_rng(5)
+    d, r, k = spatial.elements, spatial.dynamics.nu, spatial.n_tasks
+    w0 = spatial.join(
+        rng.uniform(0, 6, (d, r)), 0.2 * rng.normal(size=(k, d, r)), rng.normal(size=(k, d, r))
+    )
+    cost = spatial.objective([[0, 1, 1], [1, 0, 1]], threads=2)
+    w = ca.MX.sym("w", spatial.n_w)
+    gradient = np.array(ca.Function("g", [w], [ca.gradient(cost(w), w)])(w0)).ravel()
+    for _ in range(3):
+        direction, h = rng.normal(size=spatial.n_w), 1e-5
+        slope = (cost(w0 + h * direction) - cost(w0 - h * direction)) / (2 * h)
+        assert float(slope) == pytest.approx(gradient @ direction, rel=2e-5)
+    # a fish that is not righted: all attitudes are alike
+    fish = spatial.dynamics.body
+    body = dataclasses.replace(fish, medium=dataclasses.replace(fish.medium, righting_height=0.0))
+    dynamics = ReducedDynamics(body)
+    shapes = np.array(spatial.dmp(w0)).T.reshape(k, 11, r)[[0, 1, 1]].reshape(33, r)
+    values = []
+    for attitude in (Rotation.identity(), Rotation.from_euler("xyz", [2.0, -1.2, 3.0])):
+        start = dynamics.rest_state()
+        start[:3], start[3:7] = rng.normal(size=3), attitude.as_quat(scalar_first=True)
+        x = dynamics.rollout(start, shapes)
+        values.append(float(spatial.trajectory_cost([0, 1, 1])(x[0], x[1:].T)))
+    assert values[0] == pytest.approx(values[1], rel=1e-6)
+    assert values[0] > 0.1
+
+
+def test_in_space_switching_is_measured_about_the_tasks_axis_in_the_body_frame(
+    spatial: GaitProblem,
+) -> None:
+    rng = np.random.default_rng(6)
+    d, r, k = spatial.elements, spatial.dynamics.nu, spatial.n_tasks
+    w = spatial.join(
+        rng.uniform(0, 6, (d, r)), 0.2 * rng.normal(size=(k, d, r)), np.ones((k, d, r))
+    )
+    gait = spatial.gait(w, {})
+    measured = switching.evaluate_switching(spatial, gait, cycles=10, seed=1)
+    x = spatial.dynamics.rollout(
+        spatial.dynamics.rest_state(), gait.table()[measured.task].reshape(110, -1)
+    )[::11]
+    axis = np.array([1.0, 2.0, 0]) / np.sqrt(5)
+    for cycle in range(10):
+        before, after = (Rotation.from_quat(q[[4, 5, 6, 3]]) for q in x[cycle : cycle + 2])
+        turn = (before.inv() * after).as_rotvec()
+        move = before.as_matrix().T @ (x[cycle + 1, :3] - x[cycle, :3])
+        np.testing.assert_allclose(measured.move[cycle], move, atol=1e-12)
+        if measured.task[cycle]:
+            assert measured.angle[cycle] == pytest.approx(turn @ axis)
+            assert measured.stray[cycle] == pytest.approx(
+                np.linalg.norm(turn - (turn @ axis) * axis)
+            )
+            assert measured.advance[cycle] == 0
+        else:
+            assert measured.advance[cycle] == pytest.approx(move[2])
+            assert measured.drift[cycle] == pytest.approx(np.hypot(move[0], move[1]))
+        wrong = measured.angle[cycle] <= 0 if measured.task[cycle] else move[2] <= 0
+        assert measured.lost[cycle] == (wrong and cycle >= 2)

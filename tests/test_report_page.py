@@ -88,8 +88,10 @@ def run(tmp_path_factory):
         "name": "left",
         "advance_m": 0.41,
         "advance_sd": 0.01,
-        "yaw_rad": 0.61,
-        "yaw_sd": 0.02,
+        "drift_m": 0.05,
+        "drift_sd": 0.03,
+        "turn_rad": 0.61,
+        "turn_sd": 0.02,
     }
     solver = {"name": "alternating", "objective": 1.25, "resimulated": 1.5, "seconds": 44.0}
     solver |= {"advance_m": 0.55, "falls": 7}

@@ -164,7 +164,7 @@ def test_a_run_returns_what_the_command_line_promises_and_is_used_again(setting)
         v for k, v in results["seconds"].items() if k != "total"
     )
     assert [task["name"] for task in results["gait"]["tasks"]] == ["forward", "left", "right"]
-    assert {"advance_m", "advance_sd", "yaw_rad", "yaw_sd"} <= set(results["gait"]["tasks"][0])
+    assert {"advance_m", "advance_sd", "turn_rad", "turn_sd"} <= set(results["gait"]["tasks"][0])
     assert set(results["gait"]["switching"]) >= {"cycles", "falls"}
     assert results["surrogate"]["pairs"] == 12
     assert set(results["surrogate"]["tasks"][0]) == {
@@ -370,7 +370,7 @@ def test_the_fish_goes_the_whole_way_from_its_mesh_to_its_targets(tmp_path):
     assert err == ""
     tasks = {task["name"]: task for task in results["gait"]["tasks"]}
     assert tasks["forward"]["advance_m"] >= 0.5
-    assert tasks["left"]["yaw_rad"] >= 0.5 and tasks["right"]["yaw_rad"] <= -0.5
+    assert tasks["left"]["turn_rad"] >= 0.5 and tasks["right"]["turn_rad"] <= -0.5
     assert results["gait"]["switching"] == {
         **results["gait"]["switching"],
         "cycles": 200,

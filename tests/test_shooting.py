@@ -10,17 +10,17 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import evaluate_switching
-from defplan_mj.task import GaitTask
 from defplan_solvers.shooting import SOLVER, Shooting
 from defplan_tasks.fish import ASSETS, SWIM
 
 QUICK = Shooting(starts=2, start_iterations=15, rounds=((8, 1), (30, 1)))
-TASKS = (GaitTask("forward", speed=0.7), GaitTask("left", yaw=0.8, speed=0.45))
+TASKS = SWIM.gait_tasks[:2]
 
 
 @pytest.fixture(scope="module")
 def problem(small_fish: Body) -> GaitProblem:
-    return GaitProblem(ReducedDynamics(small_fish), TASKS, steps_per_cycle=11, gait_steps=88)
+    dynamics = ReducedDynamics(small_fish)
+    return GaitProblem(dynamics, TASKS, 11, gait_steps=88, weights=SWIM.weights)
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +29,10 @@ def gait(problem: GaitProblem) -> Gait:
 
 
 def test_the_fish_swims_forward_and_turns_left(problem: GaitProblem, gait: Gait) -> None:
-    forward, left = evaluate_switching(problem.dynamics, gait, cycles=40).tasks()
+    forward, left = evaluate_switching(problem, gait, cycles=40).rows()
     assert forward["advance_m"] > 0.2
-    assert left["yaw_rad"] > 0.2
-    assert left["yaw_rad"] > forward["yaw_rad"] + 0.2
+    assert left["turn_rad"] > 0.2
+    assert left["turn_rad"] > forward["turn_rad"] + 0.2
 
 
 def test_target_shapes_keep_within_the_amplitude_without_clipping(
@@ -61,10 +61,9 @@ def test_a_seed_gives_one_gait_to_the_bit(problem: GaitProblem, gait: Gait) -> N
 @pytest.mark.parametrize("seed", range(8))
 def test_every_seed_gives_the_fish_good_gaits(seed: int) -> None:
     body = Body.load(ASSETS / "fish_body.npz")
-    dynamics = ReducedDynamics(body, SWIM.timestep)
-    problem = GaitProblem(dynamics, SWIM.gait_tasks, SWIM.steps_per_cycle, SWIM.gait_steps)
-    measured = evaluate_switching(dynamics, SOLVER.solve(problem, seed), cycles=200)
-    forward, left, right = measured.tasks()
+    problem = GaitProblem.of(SWIM, ReducedDynamics(body, SWIM.timestep))
+    measured = evaluate_switching(problem, SOLVER.solve(problem, seed), cycles=200)
+    forward, left, right = measured.rows()
     assert forward["advance_m"] >= 0.5 * body.length
-    assert left["yaw_rad"] >= 0.5 and right["yaw_rad"] <= -0.5
+    assert left["turn_rad"] >= 0.5 and right["turn_rad"] <= -0.5
     assert measured.falls == 0

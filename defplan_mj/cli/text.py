@@ -30,12 +30,18 @@ def run_text(data: dict[str, Any]) -> str:
 def gait_text(data: dict[str, Any]) -> str:
     """Return what the gaits do while they are switched."""
     rows = [
-        [t["name"], _pair(t["advance_m"], t["advance_sd"]), _pair(t["yaw_rad"], t["yaw_sd"])]
+        [
+            t["name"],
+            _pair(t["advance_m"], t["advance_sd"]),
+            _pair(t["drift_m"], t["drift_sd"]),
+            _pair(t["turn_rad"], t["turn_sd"]),
+        ]
         for t in data["tasks"]
     ]
     switching = data["switching"]
     title = f"Gaits, switched at random: {switching['falls']} falls in {switching['cycles']} cycles"
-    return table(["gait", "advance, m (sd)", "yaw, rad (sd)"], rows, title)
+    columns = ["gait", "advance, m (sd)", "drift, m (sd)", "turn, rad (sd)"]
+    return table(columns, rows, title)
 
 
 def surrogate_text(data: dict[str, Any]) -> str:

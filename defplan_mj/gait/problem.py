@@ -7,7 +7,6 @@ cycles, each of one task, and E_obj adds up over its cycles.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -17,31 +16,9 @@ from defplan_mj.body.model import Body
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
-from defplan_mj.task import GaitTask
+from defplan_mj.task import GaitTask, TaskSpec, Weights
 
-
-@dataclass(frozen=True)
-class Weights:
-    """Weights of E_obj, per cycle.
-
-    Attributes:
-        yaw: of the squared error of a cycle's yaw, 1/rad^2.
-        speed: of the squared shortfall of its advance, 1/m^2.
-        tilt: of the mean squared tilt, 1/rad^2.
-        upright: of the mean squared excess of the squared tilt over (15 degrees)^2, 1/rad^4.
-        sink: of the squared change of depth, 1/m^2.
-        off_plane: of the mean squared target shape, in units of the amplitude, in modes that do
-            not bend the body sideways: a fish swims with its tail, not like a corkscrew.
-        sharpness: of the mean squared beta.
-    """
-
-    yaw: float = 2.0
-    speed: float = 6.0
-    tilt: float = 1.0
-    upright: float = 10.0
-    sink: float = 20.0
-    off_plane: float = 0.15
-    sharpness: float = 1e-3
+DEFAULT_WEIGHTS = Weights()
 
 
 class GaitProblem:
@@ -56,7 +33,10 @@ class GaitProblem:
         steps_per_cycle: steps in a cycle.
         elements: D.
         cycles: cycles in a trajectory (N_1 over the steps of a cycle).
+        space: 'planar' (cycles are judged in the yaw frame at their start, the body is to stay
+            upright) or 'spatial' (in the body frame at their start).
         weights: of E_obj.
+        axis: (3,) the body's own axis, which turns in space are to tilt.
     """
 
     def __init__(
@@ -66,14 +46,29 @@ class GaitProblem:
         steps_per_cycle: int,
         gait_steps: int = 200,
         elements: int = 5,
-        weights: Weights = Weights(),
+        *,
+        space: str = "planar",
+        weights: Weights = DEFAULT_WEIGHTS,
+        axis: Sequence[float] | np.ndarray = (1.0, 0.0, 0.0),
     ):
         self.dynamics = dynamics
         self.tasks = tuple(tasks)
         self.steps_per_cycle = steps_per_cycle
         self.elements = elements
         self.cycles = max(1, gait_steps // steps_per_cycle)
+        self.space = space
         self.weights = weights
+        self.axis = np.array(axis, float)
+
+    @classmethod
+    def of(cls, spec: TaskSpec, dynamics: ReducedDynamics) -> GaitProblem:
+        """Return the gait problem of a task."""
+        return cls(
+            *(dynamics, spec.gait_tasks, spec.steps_per_cycle, spec.gait_steps),
+            space=spec.navigation.space,
+            weights=spec.weights,
+            axis=spec.axis,
+        )
 
     @property
     def n_tasks(self) -> int:
@@ -99,9 +94,17 @@ class GaitProblem:
         """Return the problem of one task only."""
         steps = self.cycles * self.steps_per_cycle
         return GaitProblem(
-            *(self.dynamics, [self.tasks[task]], self.steps_per_cycle, steps),
-            *(self.elements, self.weights),
+            *(self.dynamics, [self.tasks[task]], self.steps_per_cycle, steps, self.elements),
+            space=self.space,
+            weights=self.weights,
+            axis=self.axis,
         )
+
+    @cached_property
+    def mode_share(self) -> np.ndarray:
+        """(r,) how much a gait is to use each mode, 0 to 1: see `Weights.off_plane`."""
+        body = self.dynamics.body
+        return lateral_share(body) if self.weights.off_plane else np.ones(body.n_modes)
 
     # --- the DMP
 
@@ -131,30 +134,72 @@ class GaitProblem:
     # --- E_obj
 
     @cached_property
+    def wanted(self) -> np.ndarray:
+        """(7, K): what each task wants of a cycle: rotation vector, direction, advance."""
+        columns = [(*task.turn, *task.direction, task.advance) for task in self.tasks]
+        return np.array(columns).T
+
+    @cached_property
     def cycle_cost(self) -> ca.Function:
-        """(x_start: nx, x: nx x n, yaw, speed) -> cost of one cycle, a term of E_obj."""
-        n, nx, weights = self.steps_per_cycle, self.dynamics.nx, self.weights
-        start, x = ca.SX.sym("x_start", nx), ca.SX.sym("x", nx, n)
-        yaw, speed = ca.SX.sym("yaw"), ca.SX.sym("speed")
+        """(x_start: nx, x: nx x n, wanted: 7) -> cost of one cycle, a term of E_obj."""
+        n, nx = self.steps_per_cycle, self.dynamics.nx
+        start, x, wanted = ca.SX.sym("x_start", nx), ca.SX.sym("x", nx, n), ca.SX.sym("wanted", 7)
+        cost = (self._planar_cost if self.space == "planar" else self._spatial_cost)(
+            start, x, wanted[:3], wanted[3:6], wanted[6]
+        )
+        return ca.Function("cycle_cost", [start, x, wanted], [cost])
+
+    def _planar_cost(
+        self, start: ca.SX, x: ca.SX, turn: ca.SX, direction: ca.SX, advance: ca.SX
+    ) -> ca.SX:
+        """Yaw and displacement in the yaw frame at the start, tilt and depth in the world."""
+        n, weights = self.steps_per_cycle, self.weights
         forward, end = _forward(start), _forward(x[:, -1])
-        turn = ca.atan2(
+        yaw = ca.atan2(
             forward[0] * end[1] - forward[1] * end[0], forward[0] * end[0] + forward[1] * end[1]
         )
         move = x[:3, -1] - start[:3]
-        heading = forward[:2] / ca.sqrt(ca.sumsqr(forward[:2]) + 1e-12)
-        shortfall = ca.fmax(0, speed - ca.dot(heading, move[:2]))
+        ahead = forward[:2] / ca.sqrt(ca.sumsqr(forward[:2]) + 1e-12)
+        left = ca.vertcat(-ahead[1], ahead[0])
+        moved = ca.vertcat(ca.dot(ahead, move[:2]), ca.dot(left, move[:2]))
         # squared tilt 2 (1 - R_zz), to second order
         tilts = [4 * ca.sumsqr(x[4:6, i]) for i in range(n)]
         tilt = sum(tilts) / n
         lean = sum(ca.fmax(0, t - np.radians(15) ** 2) ** 2 for t in tilts) / n
-        cost = (
-            weights.yaw * (turn - yaw) ** 2
-            + weights.speed * shortfall**2
+        return (
+            weights.turn * (yaw - turn[2]) ** 2
+            + self._move_cost(moved, direction[:2], advance)
             + weights.tilt * tilt
             + weights.upright * lean
             + weights.sink * move[2] ** 2
         )
-        return ca.Function("cycle_cost", [start, x, yaw, speed], [cost])
+
+    def _spatial_cost(
+        self, start: ca.SX, x: ca.SX, turn: ca.SX, direction: ca.SX, advance: ca.SX
+    ) -> ca.SX:
+        """Rotation and displacement in the body frame at the start; no attitude is preferred.
+
+        With p the vector part of the rotation's error as a quaternion, 4 |p across y|^2 is the
+        paper's |R(x_start)^T R(x_end) y - y_j|^2 for the own axis y, and 4 (p . y)^2 is the squared
+        roll about it, both to second order.
+        """
+        angle = ca.sqrt(ca.sumsqr(turn) + 1e-30)
+        target = ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) / angle * turn)
+        made = quaternion_product(_conjugate(start[3:7]), x[3:7, -1])
+        error = quaternion_product(_conjugate(target), made)[1:4]
+        roll = ca.dot(error, self.axis)
+        moved = _rotation(start[3:7]).T @ (x[:3, -1] - start[:3])
+        return (
+            self.weights.turn * 4 * (ca.sumsqr(error) - roll**2)
+            + self.weights.roll * 4 * roll**2
+            + self._move_cost(moved, direction, advance)
+        )
+
+    def _move_cost(self, moved: ca.SX, direction: ca.SX, advance: ca.SX) -> ca.SX:
+        along = ca.dot(direction, moved)
+        drift = ca.sumsqr(moved - along * direction)
+        shortfall = ca.fmax(0, advance - along)
+        return self.weights.move * shortfall**2 + self.weights.drift * drift
 
     def trajectory_cost(self, sequence: Sequence[int], settle: int = 1) -> ca.Function:
         """Return (x0: nx, x: nx x (n cycles)) -> mean cost of the cycles after the first `settle`.
@@ -166,9 +211,7 @@ class GaitProblem:
         n, nx, cycles = self.steps_per_cycle, self.dynamics.nx, len(sequence)
         x0, x = ca.MX.sym("x0", nx), ca.MX.sym("x", nx, n * cycles)
         starts = ca.horzcat(x0, x[:, n - 1 : -1 : n])
-        yaw = ca.DM([self.tasks[j].yaw for j in sequence]).T
-        speed = ca.DM([self.tasks[j].speed for j in sequence]).T
-        costs = self.cycle_cost.map(cycles)(starts, x, yaw, speed)
+        costs = self.cycle_cost.map(cycles)(starts, x, self.wanted[:, list(sequence)])
         return ca.Function(
             "trajectory_cost", [x0, x], [ca.sum2(costs[settle:]) / (cycles - settle)]
         )
@@ -206,7 +249,7 @@ class GaitProblem:
     def regularisation(self, w: ca.MX) -> ca.MX:
         """Return the part of the objective that is of w alone: off-plane effort and sharpness."""
         body, n = self.dynamics.body, self.n_tasks * self.steps_per_cycle
-        off_plane = (1 - lateral_share(body)) / body.amplitude**2
+        off_plane = (1 - self.mode_share) / body.amplitude**2
         effort = ca.sum2(self.dmp(w) ** 2) / n
         beta = w[self.n_phases * (1 + self.n_tasks) :]
         return (
@@ -248,6 +291,28 @@ def _forward(x: ca.SX) -> ca.SX:
     """The body's x axis in the world, from the state's quaternion."""
     w, a, b, c = (x[3 + i] for i in range(4))
     return ca.vertcat(1 - 2 * (b * b + c * c), 2 * (a * b + w * c), 2 * (a * c - w * b))
+
+
+def quaternion_product(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Return the product of quaternions (w x y z), symbolic."""
+    return ca.vertcat(
+        a[0] * b[0] - ca.dot(a[1:4], b[1:4]),
+        a[0] * b[1:4] + b[0] * a[1:4] + ca.cross(a[1:4], b[1:4]),
+    )
+
+
+def _conjugate(q: ca.SX) -> ca.SX:
+    return ca.vertcat(q[0], -q[1:4])
+
+
+def _rotation(q: ca.SX) -> ca.SX:
+    """The rotation matrix of a unit quaternion."""
+    w, a, b, c = (q[i] for i in range(4))
+    return ca.vertcat(
+        ca.horzcat(1 - 2 * (b * b + c * c), 2 * (a * b - w * c), 2 * (a * c + w * b)),
+        ca.horzcat(2 * (a * b + w * c), 1 - 2 * (a * a + c * c), 2 * (b * c - w * a)),
+        ca.horzcat(2 * (a * c - w * b), 2 * (b * c + w * a), 1 - 2 * (a * a + b * b)),
+    )
 
 
 def balanced_sequence(n_tasks: int, length: int, rng: np.random.Generator) -> list[int]:

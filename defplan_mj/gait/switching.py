@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
+from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.task import GaitTask
 
 MAX_TILT = np.radians(30.0)
 
@@ -17,57 +19,106 @@ class Switching:
     """Random switching of a gait's tasks, cycle by cycle.
 
     Attributes:
-        task_names: (K,) names.
+        tasks: the K tasks and what they want.
+        space: 'planar' or 'spatial'.
+        length: of the body, m.
         task: (cycles,) task of each cycle.
-        advance: (cycles,) displacement along the heading at the cycle's start, m.
-        drift: (cycles,) displacement to the left of it, m.
-        rise: (cycles,) vertical displacement, m.
-        yaw: (cycles,) change of heading, rad.
-        tilt: (cycles,) largest tilt of the body's z axis within the cycle, rad.
+        move: (cycles, 3) displacement in the frame at the cycle's start (planar: ahead, left, up), m.
+        turn: (cycles, 3) rotation vector in that frame (planar: (0, 0, change of heading)), rad.
+        tilt: (cycles,) planar: largest tilt of the body's z axis within the cycle, rad.
         settle: cycles from rest that the statistics leave out.
     """
 
-    task_names: tuple[str, ...]
+    tasks: tuple[GaitTask, ...]
+    space: str
+    length: float
     task: np.ndarray
-    advance: np.ndarray
-    drift: np.ndarray
-    rise: np.ndarray
-    yaw: np.ndarray
+    move: np.ndarray
+    turn: np.ndarray
     tilt: np.ndarray
     settle: int = 2
 
     @property
-    def falls(self) -> int:
-        """Cycles that tilt past 30 degrees or do not go forward."""
-        lost = (self.advance <= 0) & (np.arange(len(self.task)) >= self.settle)
-        return int(((self.tilt > MAX_TILT) | lost).sum())
+    def counted(self) -> np.ndarray:
+        """(cycles,) which cycles count."""
+        return np.arange(len(self.task)) >= self.settle
 
-    def tasks(self) -> list[dict]:
-        """Return name, advance_m, advance_sd, yaw_rad, yaw_sd, drift_m of each task."""
+    @property
+    def advance(self) -> np.ndarray:
+        """(cycles,) displacement in the task's wanted direction, m."""
+        directions = np.array([task.direction for task in self.tasks])
+        return (self.move * directions[self.task]).sum(1)
+
+    @property
+    def drift(self) -> np.ndarray:
+        """(cycles,) length of the displacement across it, m; in the plane, of the horizontal part."""
+        directions = np.array([task.direction for task in self.tasks])[self.task]
+        across = self.move - self.advance[:, None] * directions
+        return np.linalg.norm(across[:, : 2 if self.space == "planar" else 3], axis=1)
+
+    @property
+    def angle(self) -> np.ndarray:
+        """(cycles,) rotation about the up axis in the plane, in space about the task's own, rad."""
+        if self.space == "planar":
+            return self.turn[:, 2]
+        axes = np.array([task.turn_axis for task in self.tasks])
+        return (self.turn * axes[self.task]).sum(1)
+
+    @property
+    def stray(self) -> np.ndarray:
+        """(cycles,) length of the rest of the rotation, rad."""
+        return np.sqrt(np.maximum((self.turn**2).sum(1) - self.angle**2, 0.0))
+
+    @property
+    def lost(self) -> np.ndarray:
+        """(cycles,) cycles that go, or turn, the wrong way."""
+        goes = np.array([task.advance > 0 for task in self.tasks])[self.task]
+        sign = [np.sign(task.turn[2]) for task in self.tasks]
+        if self.space != "planar":
+            sign = [float(task.angle > 0) for task in self.tasks]
+        turned = self.angle * np.array(sign)[self.task]
+        turns = np.array(sign)[self.task] != 0
+        return self.counted & ((goes & (self.advance <= 0)) | (turns & (turned <= 0)))
+
+    @property
+    def falls(self) -> int:
+        """Cycles that tilt past 30 degrees, or that go or turn the wrong way."""
+        return int(((self.tilt > MAX_TILT) | self.lost).sum())
+
+    def rows(self) -> list[dict]:
+        """Return a row a task: its name, and of its cycles the means and standard deviations.
+
+        'advance_m', 'advance_sd': displacement in the wanted direction; 'drift_m': across it;
+        'distance_m': all of it (in the plane: horizontal); 'rise_m': along z; 'turn_rad': rotation
+        about the wanted axis (in the plane: up); 'stray_rad': the rest of the rotation. And the
+        means 'advance_lengths' and 'distance_lengths' in body lengths. NaN without a cycle.
+        """
+        flat = self.move[:, :2] if self.space == "planar" else self.move
+        columns = {
+            "advance_m": self.advance,
+            "drift_m": self.drift,
+            "distance_m": np.linalg.norm(flat, axis=1),
+            "rise_m": self.move[:, 2],
+            "turn_rad": self.angle,
+            "stray_rad": self.stray,
+        }
         rows = []
-        counted = np.arange(len(self.task)) >= self.settle
-        for j, name in enumerate(self.task_names):
-            of_task = (self.task == j) & counted
-            advance, yaw, drift = self.advance[of_task], self.yaw[of_task], self.drift[of_task]
-            if not of_task.any():
-                advance = yaw = drift = np.array([np.nan])
-            rows.append(
-                {
-                    "name": name,
-                    "advance_m": float(advance.mean()),
-                    "advance_sd": float(advance.std()),
-                    "yaw_rad": float(yaw.mean()),
-                    "yaw_sd": float(yaw.std()),
-                    "drift_m": float(drift.mean()),
-                    "rise_m": float(self.rise[of_task].mean()) if of_task.any() else float("nan"),
-                }
-            )
+        for j, task in enumerate(self.tasks):
+            chosen = (self.task == j) & self.counted
+            row: dict = {"name": task.name}
+            for name, values in columns.items():
+                of_task = values[chosen] if chosen.any() else np.array([np.nan])
+                row[name] = float(of_task.mean())
+                row[name.rsplit("_", 1)[0] + "_sd"] = float(of_task.std())
+            for name in ("advance", "distance"):
+                row[f"{name}_lengths"] = row[f"{name}_m"] / self.length
+            rows.append(row)
         return rows
 
     def to_json(self) -> dict:
         """Return what `defplan run --json` shows of it."""
         return {
-            "tasks": self.tasks(),
+            "tasks": self.rows(),
             "switching": {
                 "cycles": len(self.task),
                 "falls": self.falls,
@@ -94,26 +145,38 @@ def wrap(angle: np.ndarray) -> np.ndarray:
 
 
 def evaluate_switching(
-    dynamics: ReducedDynamics, gait: Gait, cycles: int = 200, seed: int = 0
+    problem: GaitProblem, gait: Gait, cycles: int = 200, seed: int = 0
 ) -> Switching:
     """Roll out `cycles` cycles from rest, the task of each drawn at random."""
     task = np.random.default_rng(seed).integers(0, len(gait.task_names), cycles)
-    return measure_cycles(dynamics, gait, task)
+    return measure_cycles(problem, gait, task)
 
 
-def measure_cycles(dynamics: ReducedDynamics, gait: Gait, task: np.ndarray) -> Switching:
+def measure_cycles(problem: GaitProblem, gait: Gait, task: np.ndarray) -> Switching:
     """Roll out the cycles of a given task sequence (cycles,) from rest."""
-    n = gait.steps_per_cycle
+    n, dynamics = gait.steps_per_cycle, problem.dynamics
     shapes = gait.table()[task].reshape(len(task) * n, -1)
     x = dynamics.rollout(dynamics.rest_state(), shapes)
     start, end = x[:-1:n], x[n::n]
-    yaw, move = heading(start), end[:, :2] - start[:, :2]
+    turn, tilts = np.zeros((len(task), 3)), np.zeros(len(task))
+    if problem.space == "planar":
+        yaw = heading(start)
+        frame = Rotation.from_euler("z", yaw[:, None])
+        turn[:, 2] = wrap(heading(end) - yaw)
+        tilts = tilt(x[1:]).reshape(-1, n).max(1)
+    else:
+        frame = _attitude(start)
+        turn = (frame.inv() * _attitude(end)).as_rotvec()
     return Switching(
-        task_names=gait.task_names,
+        tasks=problem.tasks,
+        space=problem.space,
+        length=dynamics.body.length,
         task=task,
-        advance=np.cos(yaw) * move[:, 0] + np.sin(yaw) * move[:, 1],
-        drift=-np.sin(yaw) * move[:, 0] + np.cos(yaw) * move[:, 1],
-        rise=end[:, 2] - start[:, 2],
-        yaw=wrap(heading(end) - yaw),
-        tilt=tilt(x[1:]).reshape(-1, n).max(1),
+        move=frame.inv().apply(end[:, :3] - start[:, :3]),
+        turn=turn,
+        tilt=tilts,
     )
+
+
+def _attitude(x: np.ndarray) -> Rotation:
+    return Rotation.from_quat(x[:, 3:7], scalar_first=True)

@@ -121,7 +121,7 @@ def gait_section(material: Material) -> Section:
 
 
 def _gait_tables(material: Material) -> list[Block]:
-    """Return the tables on advance and yaw a cycle, on switching, and on the solvers."""
+    """Return the tables on advance and turn a cycle, on switching, and on the solvers."""
     blocks: list[Block] = []
     results = material.switching
     tasks = results.get("tasks", [])
@@ -130,7 +130,8 @@ def _gait_tables(material: Material) -> list[Block]:
             [
                 task["name"],
                 mean_sd(task.get("advance_m"), task.get("advance_sd")),
-                mean_sd(task.get("yaw_rad"), task.get("yaw_sd")),
+                mean_sd(task.get("drift_m"), task.get("drift_sd")),
+                mean_sd(task.get("turn_rad"), task.get("turn_sd")),
             ]
             for task in tasks
         ]
@@ -139,12 +140,15 @@ def _gait_tables(material: Material) -> list[Block]:
         if switching:
             note = (
                 f" {switching.get('falls')} of {switching.get('cycles')} cycles tilt past 30 degrees "
-                "or lose the forward direction."
+                "or go or turn the wrong way."
             )
-        caption = "What a cycle does while gaits are switched at random (mean ± sd)." + note
-        blocks.append(Table(["gait", "advance (m)", "yaw (rad)"], rows, caption))
+        caption = (
+            "What a cycle does while gaits are switched at random (mean ± sd): displacement in the "
+            "wanted direction and across it, rotation about the wanted axis."
+        ) + note
+        blocks.append(Table(["gait", "advance (m)", "drift (m)", "turn (rad)"], rows, caption))
     else:
-        blocks.append(Missing("Advance and yaw a cycle under switching were not measured yet."))
+        blocks.append(Missing("Advance and turn a cycle under switching were not measured yet."))
     solvers = solver_rows(material.solvers)
     if solvers:
         columns = [
