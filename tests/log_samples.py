@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from defplan_mj.body.model import Body, Material, Medium
 from defplan_mj.gait.gait import Gait
@@ -96,6 +99,48 @@ def sample_surrogate(body: Body) -> Surrogate:
     )
 
 
+SPATIAL_TASKS = ("front", "back", "left", "right", "forward")
+
+
+def spatial_parts(body: Body) -> tuple[Gait, Surrogate]:
+    """Return five tasks in space: four turns of 0.5 rad about horizontal axes, and 0.5 m along +z."""
+    rng = np.random.default_rng(2)
+    axes = [[0, 0.5, 0], [0, -0.5, 0], [-0.5, 0, 0], [0.5, 0, 0], [0, 0, 0]]
+    plain = sample_gait(body)
+    gait = replace(
+        plain,
+        task_names=SPATIAL_TASKS,
+        alpha=rng.normal(size=(5, 5, body.n_modes)) * 0.3,
+        beta=rng.uniform(0, 1, (5, 5, body.n_modes)),
+        mu=rng.uniform(0, 6, (5, body.n_modes)),
+    )
+    surrogate = replace(
+        sample_surrogate(body),
+        task_names=SPATIAL_TASKS,
+        rotations=Rotation.from_rotvec(axes).as_matrix(),
+        translations=np.array([[0.02, 0, 0.05]] * 4 + [[0, 0, 0.5]]),
+        rotation_mean=np.array([0.5, 0.5, 0.5, 0.5, 0.05]),
+        rotation_sd=np.full(5, 0.03),
+        translation_mean=np.array([0.05, 0.05, 0.05, 0.05, 0.5]),
+        translation_sd=np.full(5, 0.01),
+    )
+    return gait, surrogate
+
+
+def spatial_scene(obstacles: int = 3, target=(4.0, 3.0, -7.0)) -> Scene:
+    """Return a target somewhere in space, spheres on the way, and a start that lies on its side."""
+    rng = np.random.default_rng(3)
+    share = np.linspace(0.4, 0.8, obstacles)[:, None]
+    return Scene(
+        target=np.array(target),
+        centres=share * np.array(target) + rng.normal(size=(obstacles, 3)),
+        radii=rng.uniform(0.5, 0.9, obstacles),
+        velocities=np.zeros((obstacles, 3)),
+        shape="sphere",
+        orientation=np.array([0.5, 0.5, -0.5, 0.5]),
+    )
+
+
 def sample_scene(speed: float = 0.0, obstacles: int = 3) -> Scene:
     """Return a target ahead and obstacles beside the way."""
     centres = np.array([[2.0 + 2 * i, (-1) ** i * 1.5, 0.0] for i in range(obstacles)])
@@ -131,12 +176,14 @@ def record_episode(
     outcome: str | None = "success",
     scene: Scene | None = None,
     files: RunFiles | None = None,
+    contacts: Callable[[int], tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> dict[str, np.ndarray]:
     """Log a made-up episode: every cycle is the surrogate's motion and then a known error.
 
     Args:
         error: metres the truth ends left of the prediction, and radians it heads more to the left.
         outcome: None leaves the log without an end.
+        contacts: step -> points and forces; None: nothing pushes.
 
     Returns:
         what was logged: time, states, target_shapes, clearance, gait_index, values, reward, laser.
@@ -146,7 +193,8 @@ def record_episode(
         files = RunFiles.of(body, sample_gait(body), sample_surrogate(body))
     rng = np.random.default_rng(7)
     table = files.gait.table()
-    pose = np.array([0, 0, 0, 1.0, 0, 0, 0])
+    scene = scene or sample_scene()
+    pose = np.array([0, 0, 0, *scene.orientation])
     x = state(pose, rng)
     kept: dict[str, list] = {k: [] for k in ("time", "states", "target_shapes", "clearance")}
     kept |= {k: [] for k in ("gait_index", "values", "reward", "laser")}
@@ -155,11 +203,12 @@ def record_episode(
     with Recorder(path, files, surface=surface_of(files.body)) as recorder:
         context = {"task": "bar-swim", "seed": 3, "planner": "greedy", "shield": True}
         context |= {"timestep": TIMESTEP, "state": x, "episode": 4}
-        recorder.begin(context, scene or sample_scene())
+        context |= {"navigation": {"laser_range": 8.0}}
+        recorder.begin(context, scene)
         step = 0
         for cycle in range(cycles):
             start, time = x, step * TIMESTEP
-            gait_index = int(rng.integers(3))
+            gait_index = int(rng.integers(len(table)))
             goal = predict(files.surrogate, start[:7], gait_index)
             frame = rotation_matrix(goal[3:])
             goal[:3] += frame @ [0, error[0], 0]
@@ -170,12 +219,14 @@ def record_episode(
                 middle = np.append(start[:3] + part * (goal[:3] - start[:3]), goal[3:])
                 x = state(goal if part == 1 else middle, rng)
                 shape, clearance = table[gait_index, i], rng.uniform(0.1, 2)
-                recorder.step(step * TIMESTEP, x, shape, clearance)
+                pushing = contacts(step) if contacts else None
+                recorder.step(step * TIMESTEP, x, shape, clearance, pushing)
                 kept["time"].append(step * TIMESTEP)
                 for name, value in (("states", x), ("target_shapes", shape)):
                     kept[name].append(value)
                 kept["clearance"].append(clearance)
-            values, reward, laser = rng.normal(size=3), rng.normal(), rng.uniform(1, 10, 64)
+            values, reward = rng.normal(size=len(table)), rng.normal()
+            laser = np.minimum(rng.uniform(1, 10, 64), 8.0)
             recorder.cycle(cycle, time, start, gait_index, values, reward, laser)
             for name, value in (("values", values), ("reward", reward), ("laser", laser)):
                 kept[name].append(value)

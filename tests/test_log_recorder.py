@@ -15,16 +15,20 @@ from log_samples import (
     sample_gait,
     sample_scene,
     sample_surrogate,
+    spatial_parts,
+    spatial_scene,
     surface_of,
 )
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from scipy.spatial.transform import Rotation
 
 from defplan_mj.errors import DefplanError
 from defplan_mj.log import schemas
 from defplan_mj.log.poses import predict, rotation_matrix, yaw
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.recorder import Recorder, RunFiles
+from defplan_mj.planning.beams import beam_directions
 
 
 def messages(path):
@@ -72,6 +76,9 @@ def test_configuration_scene_and_parts_are_read_back(logged):
 def test_every_channel_has_its_schema_and_decodes_with_it(logged):
     found = {topic: name for topic, name, _, _ in logged[2]}
     expected = {topic: kind.DESCRIPTOR.full_name for topic, kind in schemas.CHANNELS.items()}
+    # what a planar episode in which nothing pushes has no use for
+    for topic in (schemas.LASER_POINTS, schemas.FORCES, schemas.ARROWS):
+        expected.pop(topic)
     assert found == expected
     assert expected["/robot/mesh"] == "foxglove.SceneUpdate"
 
@@ -140,6 +147,84 @@ def test_laser_scan_points_where_the_body_heads(logged):
     assert list(scan.ranges) == kept["laser"][3].tolist()
     # n beams once around: the last one is one beam short of a full turn
     assert scan.end_angle - scan.start_angle == pytest.approx(2 * np.pi * 63 / 64)
+
+
+@pytest.fixture(scope="module")
+def spatial(tmp_path_factory):
+    """A spatial episode in which four points push, as numbers, messages and what was recorded."""
+    path = tmp_path_factory.mktemp("spatial") / "episode.mcap"
+    body = sample_body()
+    files = RunFiles.of(body, *spatial_parts(body))
+    kept = record_episode(path, scene=spatial_scene(), files=files, contacts=pushing)
+    return path, kept, messages(path)
+
+
+def pushing(step):
+    """Return points and forces of a step; at every fourth one nothing touches."""
+    rng = np.random.default_rng(step)
+    n = 0 if step % 4 == 0 else 4
+    return rng.normal(size=(n, 3)), rng.normal(size=(n, 3)) * 50
+
+
+def test_a_spatial_log_is_read_back_to_the_bit(spatial):
+    path, kept, decoded = spatial
+    log = read_log(path)
+    assert log.whole and log.space == "spatial"
+    for name in ("states", "target_shapes", "clearance", "gait_index", "values", "reward", "laser"):
+        np.testing.assert_array_equal(getattr(log, name), kept[name], err_msg=name)
+    np.testing.assert_array_equal(log.scene.orientation, spatial_scene().orientation)
+    entities = next(m for topic, _, _, m in decoded if topic == "/scene").entities
+    spheres = [e.spheres[0] for e in entities if e.id.startswith("obstacle")]
+    assert [s.size.x / 2 for s in spheres] == log.scene.radii.tolist()
+    assert [s.pose.position.z for s in spheres] == log.scene.centres[:, 2].tolist()
+
+
+def test_points_of_a_spherical_laser_lie_where_its_beams_end(spatial):
+    _, kept, decoded = spatial
+    cloud = [m for topic, _, _, m in decoded if topic == "/laser/points"][3]
+    assert [f.name for f in cloud.fields] == ["x", "y", "z", "distance"]
+    assert {f.type for f in cloud.fields} == {8} and cloud.point_stride == 32  # float64
+    points = np.frombuffer(cloud.data, "<f8").reshape(-1, 4)
+    ranges = kept["laser"][3]
+    hit = ranges < 8.0
+    assert 0 < hit.sum() < 64 and len(points) == hit.sum()  # a beam that meets nothing has no point
+    np.testing.assert_array_equal(points[:, 3], ranges[hit])
+    # in the world: from the centre of mass along the beams, which turn with the whole body
+    x = kept["states"][3 * STEPS_PER_CYCLE]
+    turn, place = cloud.pose.orientation, cloud.pose.position
+    attitude = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
+    body = Rotation.from_quat(x[3:7], scalar_first=True)
+    assert (attitude.inv() * body).magnitude() < 1e-12
+    seen = attitude.apply(points[:, :3].copy()) + [place.x, place.y, place.z]
+    ends = x[:3] + ranges[hit, None] * body.apply(beam_directions(64, "spatial")[hit].copy())
+    np.testing.assert_allclose(seen, ends, atol=1e-12)
+
+
+def test_contacts_are_read_back_to_the_bit_every_second_step(spatial):
+    path, _, _ = spatial
+    log = read_log(path)
+    steps = [c.step for c in log.contacts]
+    assert steps == list(range(2, 8 * STEPS_PER_CYCLE + 1, 2))
+    for contact in log.contacts:
+        points, forces = pushing(contact.step)
+        np.testing.assert_array_equal(contact.points, points)
+        np.testing.assert_array_equal(contact.forces, forces)
+
+
+def test_force_arrows_point_along_the_forces(spatial):
+    _, _, decoded = spatial
+    time, message = next(
+        (t, m) for topic, _, t, m in decoded if topic == "/contacts/arrows" and m.entities[0].arrows
+    )
+    points, forces = pushing(round(time * 1e-9 / TIMESTEP))
+    assert len(message.entities[0].arrows) == len(points)
+    weight = sample_body().mass * 9.81
+    for arrow, point, force in zip(message.entities[0].arrows, points, forces, strict=True):
+        turn, place = arrow.pose.orientation, arrow.pose.position
+        assert [place.x, place.y, place.z] == point.tolist()
+        along = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).apply([1.0, 0, 0])
+        length = arrow.shaft_length + arrow.head_length
+        np.testing.assert_allclose(along * length, force / weight, atol=1e-12)
 
 
 def test_time_never_runs_backwards_on_a_channel(logged):
@@ -250,7 +335,7 @@ def test_chunks_do_not_overlap_in_time_and_end_with_a_cycle(tmp_path):
 def test_a_log_holds_each_schema_once(logged):
     with open(logged[0], "rb") as stream:
         names = [s.name for s in make_reader(stream).get_summary().schemas.values()]
-    assert sorted(names) == sorted({k.DESCRIPTOR.full_name for k in schemas.CHANNELS.values()})
+    assert sorted(names) == sorted({schema for _, schema, *_ in logged[2]})
 
 
 def test_the_same_episode_gives_the_same_log_to_the_byte(tmp_path):

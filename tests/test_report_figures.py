@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from defplan_mj.log.plotting import view
 from defplan_mj.report.content import duration, mean_sd, number, percent
-from defplan_mj.report.drawing import boundary_faces, outlines, view
+from defplan_mj.report.drawing import boundary_faces, outlines
 
 
 def winding(point: np.ndarray, loops: list[np.ndarray]) -> int:

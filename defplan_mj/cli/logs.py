@@ -9,7 +9,7 @@ from defplan_mj.cli.console import Console, table
 
 def compare(arguments: argparse.Namespace, console: Console) -> int:
     """Compare surrogate and reduced dynamics over the logs; optionally draw it."""
-    from defplan_mj.log.compare import DRIFT_COLUMNS, TABLE_COLUMNS, compare_logs
+    from defplan_mj.log.compare import DRIFT_COLUMNS, compare_logs
 
     comparison = compare_logs(arguments.log)
     for episode in comparison.episodes:
@@ -20,7 +20,9 @@ def compare(arguments: argparse.Namespace, console: Console) -> int:
         comparison.plot(arguments.output)
         data["plot"] = str(arguments.output)
     text = [
-        table(TABLE_COLUMNS, comparison.table(), "Surrogate against reduced dynamics, per cycle"),
+        table(
+            comparison.columns, comparison.table(), "Surrogate against reduced dynamics, per cycle"
+        ),
         table(DRIFT_COLUMNS, comparison.drift_rows(), "Logs"),
     ]
     console.result(data, "\n\n".join(text))

@@ -10,23 +10,14 @@ from typing import Any
 import numpy as np
 
 from defplan_mj.errors import DefplanError
-from defplan_mj.log.poses import predict, rotation_matrix, yaw
+from defplan_mj.log.poses import angle, predict, rotation_matrix, yaw
 from defplan_mj.log.reader import EpisodeLog, read_log
 
 SETTLING = 3
 """Cycles in which a body that starts at rest gets up to speed; the surrogate knows full speed only."""
 
-TABLE_COLUMNS = (
-    "gait",
-    "cycles",
-    "position mean (m)",
-    "sd",
-    "p95",
-    "heading mean (rad)",
-    "sd",
-    "p95",
-    "spread (m)",
-)
+TURNING = {"planar": "heading", "spatial": "rotation"}
+"""What an error of attitude is in each space: of the heading, with a sign, or an angle about any axis."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +33,7 @@ class Episode:
         collisions: physics steps in contact.
         truth, chained: (m + 1, 7) poses at the ends of the compared cycles: the true ones, and
             those the surrogate gives when it starts with the first and never sees the truth again.
+        space: 'planar' or 'spatial'.
     """
 
     path: Path
@@ -52,6 +44,7 @@ class Episode:
     collisions: int
     truth: np.ndarray
     chained: np.ndarray
+    space: str = "planar"
 
     @property
     def drift(self) -> float:
@@ -59,9 +52,9 @@ class Episode:
         return float(np.linalg.norm(self.truth[-1, :3] - self.chained[-1, :3]))
 
     @property
-    def heading_drift(self) -> float:
-        """True minus chained heading after the last cycle, rad in (-pi, pi]."""
-        return float(_heading(self.truth[-1:], self.chained[-1:])[0])
+    def turning_drift(self) -> float:
+        """True from chained attitude after the last cycle, rad; see `Comparison.turning`."""
+        return float(_turning(self.truth[-1:], self.chained[-1:], self.space)[0])
 
     @property
     def travelled(self) -> float:
@@ -80,9 +73,13 @@ class Comparison:
         gait: (n,) index of its gait.
         cycle: (n,) number of the cycle in its episode, from 0.
         start: (n,) time it began, s.
-        predicted, truth: (n, 3) displacement of the centre of mass over the cycle, in the body's
-            yaw frame at its start (forward, left, up), m.
-        heading: (n,) true minus predicted heading at its end, rad in (-pi, pi].
+        predicted, truth: (n, 3) displacement of the centre of mass over the cycle, m: of a planar
+            task in the body's yaw frame at its start (forward, left, up), of a spatial one in its
+            body frame there.
+        turning: (n,) what is wrong with the attitude at its end, rad: of a planar task true minus
+            predicted heading, in (-pi, pi], of a spatial one the angle of the rotation between
+            prediction and truth, about whatever axis, in [0, pi].
+        space: 'planar' or 'spatial'.
     """
 
     task_names: tuple[str, ...]
@@ -93,7 +90,13 @@ class Comparison:
     start: np.ndarray
     predicted: np.ndarray
     truth: np.ndarray
-    heading: np.ndarray
+    turning: np.ndarray
+    space: str = "planar"
+
+    @property
+    def turning_name(self) -> str:
+        """What an error of attitude is called: 'heading' or 'rotation'."""
+        return TURNING[self.space]
 
     @property
     def position(self) -> np.ndarray:
@@ -108,8 +111,8 @@ class Comparison:
     def summary(self, name: str, some: np.ndarray) -> dict[str, Any]:
         """Return the figures of some cycles, `some` being (n,) of bool.
 
-        'position' and 'heading': mean, sd (n - 1) and p95; heading's mean is signed (left is
-        positive) and its p95 is of the absolute value; 'spread': root mean square distance of the
+        'position' and 'heading' or 'rotation': mean, sd (n - 1) and p95; heading's mean is signed
+        (left is positive) and its p95 is of the absolute value; 'spread': root mean square distance of the
         true displacements from their gait's mean, that is, what no rigid surrogate could predict.
         """
         parts = [self.truth[some & (self.gait == k)] for k in np.unique(self.gait[some])]
@@ -118,7 +121,7 @@ class Comparison:
             "name": name,
             "cycles": int(some.sum()),
             "position": _figures(self.position[some], self.position[some]),
-            "heading": _figures(self.heading[some], np.abs(self.heading[some])),
+            self.turning_name: _figures(self.turning[some], np.abs(self.turning[some])),
             "spread": float(np.sqrt((about**2).sum(1).mean())) if len(about) else None,
         }
 
@@ -131,14 +134,25 @@ class Comparison:
             self.summary(f"all but each first {SETTLING}", self.settled),
         ]
 
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Heads of the columns of `table`."""
+        errors = (f"{name} mean ({unit})" for name, unit in
+                  (("position", "m"), (self.turning_name, "rad")))  # fmt: skip
+        return ("gait", "cycles", *(c for e in errors for c in (e, "sd", "p95")), "spread (m)")
+
     def table(self) -> list[list[str]]:
-        """Return rows of text for `TABLE_COLUMNS`."""
+        """Return rows of text, for `columns`."""
+        signed = self.space == "planar"
         return [
             [
                 row["name"],
                 str(row["cycles"]),
                 *(_text(row["position"][key]) for key in ("mean", "sd", "p95")),
-                *(_text(row["heading"][key], key == "mean") for key in ("mean", "sd", "p95")),
+                *(
+                    _text(row[self.turning_name][key], signed and key == "mean")
+                    for key in ("mean", "sd", "p95")
+                ),
                 _text(row["spread"]),
             ]
             for row in self.summaries()
@@ -153,7 +167,7 @@ class Comparison:
                 str(len(episode.truth) - 1),
                 _text(episode.travelled),
                 _text(episode.drift),
-                _text(episode.heading_drift, True),
+                _text(episode.turning_drift, self.space == "planar"),
                 _text(episode.clearance) if np.isfinite(episode.clearance) else "-",
                 _text(episode.reward),
             ]
@@ -163,6 +177,7 @@ class Comparison:
     def to_json(self) -> dict[str, Any]:
         """Return all figures as plain data (m, rad)."""
         return {
+            "space": self.space,
             "gaits": self.summaries(),
             "logs": [
                 {
@@ -172,7 +187,10 @@ class Comparison:
                     "outcome": episode.outcome,
                     "cycles": len(episode.truth) - 1,
                     "travelled": episode.travelled,
-                    "drift": {"position": episode.drift, "heading": episode.heading_drift},
+                    "drift": {
+                        "position": episode.drift,
+                        self.turning_name: episode.turning_drift,
+                    },
                     "reward": episode.reward,
                     "clearance": _number(episode.clearance),
                     "collisions": episode.collisions,
@@ -207,9 +225,16 @@ def compare_logs(paths: Iterable[str | Path | EpisodeLog]) -> Comparison:
     A cycle that the episode's end cut short is left out: the surrogate knows whole cycles only.
 
     Raises:
-        DefplanError: a log cannot be read, holds no prediction, or none has a whole cycle.
+        DefplanError: a log cannot be read, holds no prediction, none has a whole cycle, or some are
+            of a planar and some of a spatial task.
     """
     logs = [p if isinstance(p, EpisodeLog) else read_log(p) for p in paths]
+    spaces = {log.space: log.path for log in logs}
+    if len(spaces) > 1:
+        raise DefplanError(
+            f"{spaces['planar']} is of a planar task, {spaces['spatial']} of a spatial one:"
+            " compare them one after the other"
+        )
     names = list(dict.fromkeys(name for log in logs for name in log.task_names))
     episodes, parts = [], []
     for number, log in enumerate(logs):
@@ -220,7 +245,9 @@ def compare_logs(paths: Iterable[str | Path | EpisodeLog]) -> Comparison:
     if not any(len(part["gait"]) for part in parts):
         raise DefplanError(f"no whole gait cycle in {', '.join(str(log.path) for log in logs)}")
     joined = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    return Comparison(task_names=tuple(names), episodes=tuple(episodes), **joined)
+    return Comparison(
+        task_names=tuple(names), episodes=tuple(episodes), space=next(iter(spaces)), **joined
+    )
 
 
 def _name_index(log: EpisodeLog, gait: int, names: list[str]) -> int:
@@ -250,17 +277,19 @@ def _predictions(log: EpisodeLog, rows: np.ndarray) -> np.ndarray:
 
 
 def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Return start time, displacements in the starts' yaw frames, and heading errors of some cycles."""
+    """Return start time, displacements in the starts' frames, and errors of attitude of some cycles."""
     start = log.states[log.cycle_steps[rows]][:, :7]
     end = log.states[log.cycle_steps[rows + 1]][:, :7]
     predicted = _predictions(log, rows)
-    angle = yaw(rotation_matrix(start[:, 3:]))
+    frame = rotation_matrix(start[:, 3:])
+    if log.space == "planar":
+        frame = _about_vertical(yaw(frame))
     return {
         "cycle": rows,
         "start": log.time[log.cycle_steps[rows]],
-        "predicted": _into_yaw_frame(predicted[:, :3] - start[:, :3], angle),
-        "truth": _into_yaw_frame(end[:, :3] - start[:, :3], angle),
-        "heading": _heading(end, predicted),
+        "predicted": _into_frame(predicted[:, :3] - start[:, :3], frame),
+        "truth": _into_frame(end[:, :3] - start[:, :3], frame),
+        "turning": _turning(end, predicted, log.space),
     }
 
 
@@ -280,20 +309,31 @@ def _episode(log: EpisodeLog, rows: np.ndarray) -> Episode:
         collisions=int((log.clearance < 0).sum()),
         truth=truth,
         chained=np.array(chained),
+        space=log.space,
     )
 
 
-def _into_yaw_frame(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Turn world vectors (m, 3) back by headings (m,)."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y, z = vectors.T
-    return np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
+def _about_vertical(heading: np.ndarray) -> np.ndarray:
+    """Return the (m, 3, 3) rotations by headings (m,), rad."""
+    frames = np.tile(np.eye(3), (len(heading), 1, 1))
+    frames[:, 0, 0] = frames[:, 1, 1] = np.cos(heading)
+    frames[:, 1, 0] = np.sin(heading)
+    frames[:, 0, 1] = -frames[:, 1, 0]
+    return frames
 
 
-def _heading(truth: np.ndarray, predicted: np.ndarray) -> np.ndarray:
-    """Return true minus predicted heading of (m, 7) poses, in (-pi, pi]."""
-    angle = yaw(rotation_matrix(truth[:, 3:7])) - yaw(rotation_matrix(predicted[:, 3:7]))
-    return np.pi - (np.pi - angle) % (2 * np.pi)
+def _into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Return world vectors (m, 3) as seen in frames (m, 3, 3)."""
+    return np.einsum("nji,nj->ni", frames, vectors)
+
+
+def _turning(truth: np.ndarray, predicted: np.ndarray, space: str) -> np.ndarray:
+    """Return the errors of attitude (m,) of (m, 7) poses; see `Comparison.turning`."""
+    true, told = rotation_matrix(truth[:, 3:7]), rotation_matrix(predicted[:, 3:7])
+    if space == "spatial":
+        return angle(np.swapaxes(told, 1, 2) @ true)
+    error = yaw(true) - yaw(told)
+    return np.pi - (np.pi - error) % (2 * np.pi)
 
 
 def _figures(values: np.ndarray, sizes: np.ndarray) -> dict[str, float | None]:

@@ -1,4 +1,4 @@
-"""Messages that are written once a cycle or less: the scene's entities and laser scans."""
+"""Messages that are made of objects: the scene's entities, laser scans, contact forces."""
 
 from __future__ import annotations
 
@@ -8,18 +8,22 @@ from typing import Any
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from defplan_mj.log.poses import rotation_matrix, yaw
+from defplan_mj.log.poses import quaternion, rotation_matrix, yaw
 from defplan_mj.log.schemas import WORLD_FRAME
+from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.scenes import Scene
 
 _OBSTACLE = Color(r=0.25, g=0.42, b=0.75, a=0.9)
 _TARGET = Color(r=0.85, g=0.2, b=0.17, a=0.6)
+_FORCE = Color(r=0.85, g=0.54, b=0.12, a=1.0)
 _CYLINDER_HEIGHT = 2.0  # m; obstacles are upright and endless, this is what is drawn
 
 
@@ -69,6 +73,84 @@ def laser_scan(x: np.ndarray, ranges: Sequence[float] | np.ndarray, nanoseconds:
     ).SerializeToString()
 
 
+def laser_points(
+    x: np.ndarray, ranges: Sequence[float] | np.ndarray, laser_range: float, nanoseconds: int
+) -> bytes:
+    """Return the points that the beams of a spherical laser hit, in the body frame of state x.
+
+    Each point also has its `distance` (m), to be coloured by.
+    """
+    ranges = np.asarray(ranges, float)
+    hit = ranges < laser_range
+    points = ranges[hit, None] * beam_directions(len(ranges), "spatial")[hit]
+    return _point_cloud(
+        {**dict(zip("xyz", points.T, strict=True)), "distance": ranges[hit]}, nanoseconds, x[:7]
+    )
+
+
+def contact_forces(points: np.ndarray, forces: np.ndarray, nanoseconds: int) -> bytes:
+    """Return contacts as a cloud: points (n, 3) in the world, m, and forces (n, 3) on the body, N."""
+    columns = np.concatenate([points.T, forces.T])
+    names = ("x", "y", "z", "force_x", "force_y", "force_z")
+    return _point_cloud(dict(zip(names, columns, strict=True)), nanoseconds)
+
+
+def contacts_of(cloud: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (n, 3) and forces (n, 3) of a decoded message of `contact_forces`."""
+    columns = np.frombuffer(cloud.data, "<f8").reshape(-1, 6)
+    return columns[:, :3].copy(), columns[:, 3:].copy()
+
+
+def force_arrows(points: np.ndarray, forces: np.ndarray, scale: float, nanoseconds: int) -> bytes:
+    """Return the forces as arrows from their points, one entity for all.
+
+    Args:
+        points, forces: (n, 3), m and N.
+        scale: length of a newton, m.
+    """
+    message = SceneUpdate()
+    entity = _entity(message, "contacts", nanoseconds)
+    for point, force in zip(points, forces, strict=True):
+        size = float(np.linalg.norm(force))
+        if size == 0:
+            continue
+        length = scale * size
+        entity.arrows.add(
+            pose=_pose(point, _towards(force / size)),
+            shaft_length=0.8 * length,
+            shaft_diameter=0.008,
+            head_length=0.2 * length,
+            head_diameter=0.02,
+            color=_FORCE,
+        )
+    return message.SerializeToString()
+
+
+def _point_cloud(
+    columns: dict[str, np.ndarray], nanoseconds: int, pose: np.ndarray | None = None
+) -> bytes:
+    """Return a cloud of float64 columns by name; `pose` (7,) is its frame in the world."""
+    here = np.array([0, 0, 0, 1.0, 0, 0, 0]) if pose is None else pose
+    cloud = PointCloud(
+        timestamp=_timestamp(nanoseconds),
+        frame_id=WORLD_FRAME,
+        pose=_pose(here[:3], here[3:]),
+        point_stride=8 * len(columns),
+        data=np.column_stack(list(columns.values())).astype("<f8").tobytes(),
+    )
+    for i, name in enumerate(columns):
+        cloud.fields.add(name=name, offset=8 * i, type=PackedElementField.FLOAT64)
+    return cloud.SerializeToString()
+
+
+def _towards(direction: np.ndarray) -> np.ndarray:
+    """Return the quaternion w x y z that turns +x, where arrows point, to a unit vector."""
+    spare = np.eye(3)[np.argmin(np.abs(direction))]
+    up = np.cross(direction, spare)
+    up /= np.linalg.norm(up)
+    return quaternion(np.column_stack([direction, np.cross(up, direction), up]))
+
+
 def _timestamp(nanoseconds: int) -> Timestamp:
     seconds, rest = divmod(nanoseconds, 1_000_000_000)
     return Timestamp(seconds=seconds, nanos=rest)
@@ -78,6 +160,7 @@ def _entity(message: Any, name: str, nanoseconds: int) -> Any:
     return message.entities.add(timestamp=_timestamp(nanoseconds), frame_id=WORLD_FRAME, id=name)
 
 
-def _pose(centre: np.ndarray) -> Pose:
+def _pose(centre: np.ndarray, attitude: Sequence[float] | np.ndarray = (1.0, 0, 0, 0)) -> Pose:
     x, y, z = centre
-    return Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(w=1))
+    w, a, b, c = attitude
+    return Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(w=w, x=a, y=b, z=c))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -55,6 +56,30 @@ def new_figure(
     """
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **kwargs)
+
+
+def view(azimuth: float = -55.0, elevation: float = 25.0) -> np.ndarray:
+    """Return the (3, 3) rotation whose rows are the view's right, up and towards the viewer.
+
+    Args:
+        azimuth: of the viewer, degrees from +x (the body's front) to +y (its left).
+        elevation: of the viewer above the horizon, degrees.
+    """
+    a, e = np.deg2rad([azimuth, elevation])
+    right = np.array([-np.sin(a), np.cos(a), 0.0])
+    towards = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def draw_triad(
+    axes: Axes, rotation: np.ndarray, length: float, names: tuple[str, ...] = ("x", "y", "z")
+) -> None:
+    """Say what an oblique view shows: the world's axes from the origin, `length` long (m)."""
+    axes.set_axis_off()
+    axes.set_aspect("equal", adjustable="datalim")
+    for name, (x, y) in zip(names, length * rotation[:2].T, strict=True):
+        axes.plot([0, x], [0, y], color=FAINT, lw=1.0, zorder=1)
+        axes.text(1.12 * x, 1.12 * y, name, color=FAINT, ha="center", va="center", fontsize=8)
 
 
 def note(axes: Axes, text: str) -> None:

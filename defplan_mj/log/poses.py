@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.surrogate import Surrogate
 
 
@@ -42,6 +43,20 @@ def quaternion(matrix: np.ndarray) -> np.ndarray:
 def yaw(matrix: np.ndarray) -> np.ndarray:
     """Return the heading (rad) of (..., 3, 3) rotations: the direction of the body's x axis."""
     return np.arctan2(matrix[..., 1, 0], matrix[..., 0, 0])
+
+
+def angle(matrix: np.ndarray) -> np.ndarray:
+    """Return the angle (rad, 0 to pi) of (..., 3, 3) rotations, exact for small and for half turns."""
+    m = np.asarray(matrix)
+    twist = np.stack([m[..., 2, 1], m[..., 0, 2], m[..., 1, 0]], -1)
+    twist = twist - np.stack([m[..., 1, 2], m[..., 2, 0], m[..., 0, 1]], -1)
+    sine, cosine = np.linalg.norm(twist, axis=-1), np.trace(m, axis1=-2, axis2=-1) - 1
+    return np.arctan2(sine, cosine)
+
+
+def space_of(scene: Scene) -> str:
+    """Return where a scene is: 'planar' among upright cylinders, 'spatial' among spheres."""
+    return "spatial" if scene.shape == "sphere" else "planar"
 
 
 def predict(surrogate: Surrogate, pose: np.ndarray, gait_index: int) -> np.ndarray:

@@ -26,6 +26,8 @@ from defplan_mj.body.model import Body
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log import schemas
+from defplan_mj.log.messages import contacts_of
+from defplan_mj.log.poses import space_of
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.surrogate import Surrogate
 
@@ -51,6 +53,21 @@ class _Saved(Protocol):
 
 
 _Part = TypeVar("_Part", bound=_Saved)
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """What pushes on the body in one physics step.
+
+    Attributes:
+        step: the one that led to state `step`.
+        points: (n, 3) in the world, m.
+        forces: (n, 3) on the body, N.
+    """
+
+    step: int
+    points: np.ndarray
+    forces: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -80,6 +97,7 @@ class EpisodeLog:
         laser: (m, beams) m, at the cycle's start.
         surrogate_pose: (m, 7) position and quaternion (w x y z) that the surrogate predicted for the
             cycle's end from its true start; NaN if it was not logged.
+        contacts: of the steps that they were logged at; empty if nothing ever pushes.
     """
 
     path: Path
@@ -104,6 +122,12 @@ class EpisodeLog:
     reward: np.ndarray
     laser: np.ndarray
     surrogate_pose: np.ndarray
+    contacts: tuple[Contacts, ...] = ()
+
+    @property
+    def space(self) -> str:
+        """'planar' or 'spatial': where the robot navigates."""
+        return space_of(self.scene)
 
     @property
     def whole(self) -> bool:
@@ -158,7 +182,7 @@ class _Contents:
 _NEEDED = {
     topic: kind
     for topic, kind in schemas.CHANNELS.items()
-    if topic not in (schemas.TF, schemas.SCENE, schemas.MESH, schemas.COM)
+    if topic in (schemas.SURROGATE, schemas.FORCES) or kind is schemas.LabelledNumbers
 }
 
 
@@ -306,6 +330,11 @@ def _in_order(path: Path, found: _Contents) -> EpisodeLog:
         states=np.array([states[i] for i in range(steps + 1)]),
         target_shapes=np.array([shapes[i] for i in taken]).reshape(steps, modes),
         clearance=np.array([contacts[i][0] for i in taken]),
+        contacts=tuple(
+            Contacts(sequence, *contacts_of(message))
+            for sequence, _, message in found.messages.get(schemas.FORCES, [])
+            if sequence <= steps
+        ),
         **_cycles(found, numbers, steps),
     )
 
@@ -314,7 +343,7 @@ def _cycles(found: _Contents, numbers: dict[str, dict], steps: int) -> dict[str,
     """Return the arrays of the cycles; messages of a cycle carry the number of its last step."""
     gaits = numbers.get(schemas.GAIT, {})
     values, rewards = numbers.get(schemas.VALUES, {}), numbers.get(schemas.REWARD, {})
-    scans = {n: np.array(m.ranges) for n, _, m in found.messages.get(schemas.LASER, [])}
+    scans = numbers.get(schemas.RANGES, {})
     poses = {n: _pose(m) for n, _, m in found.messages.get(schemas.SURROGATE, [])}
     ends = [
         n

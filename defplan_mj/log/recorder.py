@@ -23,8 +23,14 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log import schemas, wire
 from defplan_mj.log.decimate import decimate
-from defplan_mj.log.messages import laser_scan, scene_update
-from defplan_mj.log.poses import predict, rotation_matrix
+from defplan_mj.log.messages import (
+    contact_forces,
+    force_arrows,
+    laser_points,
+    laser_scan,
+    scene_update,
+)
+from defplan_mj.log.poses import predict, rotation_matrix, space_of
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.surrogate import Surrogate
 
@@ -46,6 +52,7 @@ _PACKAGES = (
 )
 _MESH_GRID = 2.0**-12  # m; drawn points are rounded to it, so that they compress
 _MESH_COLOUR = (0.16, 0.55, 0.62, 1.0)
+_WEIGHT_ARROW, _GRAVITY = 1.0, 9.81  # m; how long a force as large as the body's weight is drawn
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,6 +150,8 @@ class Recorder:
             self._surface = ReducedDynamics(self._files.body, given["timestep"]).surface
         self._scene = scene
         self._moving = bool(np.any(scene.velocities))
+        self._spatial = space_of(scene) == "spatial"
+        self._laser_range = _laser_range(given)
         self._steps = self._cycles = 0
         self._cycle_times = [time]  # of the states since the running cycle began
         self._start = self._last = x
@@ -175,20 +184,21 @@ class Recorder:
                 self._writer.add_attachment(0, 0, name, "application/octet-stream", data)
         except OSError as error:
             raise self._failure(error) from error
-        kinds = {
-            kind: register_schema(self._writer, kind)
-            for kind in dict.fromkeys(schemas.CHANNELS.values())
-        }
-        self._channels = {
-            topic: self._writer.register_channel(topic, "protobuf", kinds[kind])
-            for topic, kind in schemas.CHANNELS.items()
-        }
+        self._kinds: dict[Any, int] = {}
+        self._channels: dict[str, int] = {}
         now = _ns(time)
         self._write(schemas.SCENE, now, scene_update(scene, now))
         self._write_state(now, wire.timestamp(now), x)
         self._flush(time)
 
-    def step(self, time: float, x: np.ndarray, target_shape: np.ndarray, clearance: float) -> None:
+    def step(
+        self,
+        time: float,
+        x: np.ndarray,
+        target_shape: np.ndarray,
+        clearance: float,
+        contacts: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> None:
         """Log one physics step.
 
         Args:
@@ -196,6 +206,8 @@ class Recorder:
             x: (nx,) state at its end; kept to the bit.
             target_shape: (r,) control that led to x; kept to the bit.
             clearance: smallest distance from body to obstacle at x, m (negative: in collision).
+            contacts: points (n, 3) at which the ground pushes, m, and its forces (n, 3) on the body
+                over the step, N; logged as often as the surface. None: nothing pushes here.
         """
         if time - self._chunk_time >= CHUNK_SECONDS:
             self._flush(time)
@@ -207,6 +219,11 @@ class Recorder:
         self._write_state(now, stamp, x)
         self._numbers(schemas.TARGET_SHAPE, now, stamp, target_shape)
         self._numbers(schemas.CONTACTS, now, stamp, np.array([clearance, clearance < 0]))
+        if contacts is not None and self._mesh_every and self._steps % self._mesh_every == 0:
+            points, forces = (np.asarray(part, float).reshape(-1, 3) for part in contacts)
+            self._write(schemas.FORCES, now, contact_forces(points, forces, now))
+            scale = _WEIGHT_ARROW / (self._files.body.mass * _GRAVITY)
+            self._write(schemas.ARROWS, now, force_arrows(points, forces, scale, now))
 
     def cycle(
         self,
@@ -241,7 +258,12 @@ class Recorder:
             self._numbers(schemas.GAIT, at, wire.timestamp(at), where)
         start, end = _ns(time), moments[-1]
         stamp = wire.timestamp(end)
-        self._write(schemas.LASER, start, laser_scan(x, laser, start))
+        if self._spatial:
+            points = laser_points(x, laser, self._laser_range, start)
+            self._write(schemas.LASER_POINTS, start, points)
+        else:
+            self._write(schemas.LASER, start, laser_scan(x, laser, start))
+        self._numbers(schemas.RANGES, start, wire.timestamp(start), np.asarray(laser, float))
         self._numbers(schemas.VALUES, start, wire.timestamp(start), np.asarray(values, float))
         self._numbers(schemas.REWARD, end, stamp, np.array([reward], float))
         if surrogate_pose is None and self._files.surrogate is not None:
@@ -308,6 +330,7 @@ class Recorder:
             schemas.GAIT: ["gait", "phase", "cycle"],
             schemas.VALUES: self._files.gait.task_names if self._files.gait else [],
             schemas.REWARD: ["reward"],
+            schemas.RANGES: [],
         }
         self._labels = {topic: wire.labels(labels) for topic, labels in names.items()}
         self._frame = wire.text(2, schemas.WORLD_FRAME)
@@ -336,6 +359,13 @@ class Recorder:
 
     def _write(self, topic: str, now: int, message: bytes) -> None:
         assert self._writer is not None, "begin was not called, or the log is closed already"
+        if topic not in self._channels:
+            kind = schemas.CHANNELS[topic]
+            if kind not in self._kinds:
+                self._kinds[kind] = register_schema(self._writer, kind)
+            self._channels[topic] = self._writer.register_channel(
+                topic, "protobuf", self._kinds[kind]
+            )
         # `sequence` counts physics steps: it joins messages of one step whatever their times say
         self._writer.add_message(self._channels[topic], now, message, now, self._steps)
 
@@ -362,6 +392,14 @@ def versions() -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             continue
     return {**found, "system": platform.system(), "machine": platform.machine()}
+
+
+def _laser_range(context: Mapping[str, Any]) -> float:
+    """Return the laser's range, m, of a context's navigation (a dataclass or its dict)."""
+    navigation = context.get("navigation", {})
+    if dataclasses.is_dataclass(navigation) and not isinstance(navigation, type):
+        navigation = dataclasses.asdict(navigation)
+    return float(navigation.get("laser_range", np.inf))
 
 
 def _ns(time: float) -> int:

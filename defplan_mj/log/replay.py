@@ -139,6 +139,7 @@ def _in_mujoco(log: EpisodeLog, progress: Progress) -> dict[str, np.ndarray]:
     navigation = Navigation(
         beams=log.laser.shape[1],
         laser_range=float(told.get("laser_range", Navigation().laser_range)),
+        space=log.space,
     )
     env = navigation_environment(
         log.body, log.gait, navigation, lambda random: log.scene, scene=log.scene

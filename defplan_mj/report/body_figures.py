@@ -7,8 +7,8 @@ from matplotlib.figure import Figure
 
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.log.plotting import SERIES, new_figure, styled
-from defplan_mj.report.drawing import boundary_faces, draw_surface, fit, view
+from defplan_mj.log.plotting import SERIES, new_figure, styled, view
+from defplan_mj.report.drawing import boundary_faces, draw_surface, fit
 
 _OUTER, _INNER = "#1f7a8c", "#e0b25b"
 

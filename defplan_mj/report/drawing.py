@@ -16,19 +16,6 @@ from defplan_mj.log.plotting import BODY
 _LIGHT = np.array([-0.35, -0.55, 0.76])  # towards the light, in view coordinates: right, up, viewer
 
 
-def view(azimuth: float = -55.0, elevation: float = 25.0) -> np.ndarray:
-    """Return the (3, 3) rotation whose rows are the view's right, up and towards the viewer.
-
-    Args:
-        azimuth: of the viewer, degrees from +x (the body's front) to +y (its left).
-        elevation: of the viewer above the horizon, degrees.
-    """
-    a, e = np.deg2rad([azimuth, elevation])
-    right = np.array([-np.sin(a), np.cos(a), 0.0])
-    towards = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
-    return np.stack([right, np.cross(towards, right), towards])
-
-
 def draw_surface(
     axes: Axes,
     points: np.ndarray,

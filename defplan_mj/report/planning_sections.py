@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from defplan_mj.errors import DefplanError
-from defplan_mj.log.compare import DRIFT_COLUMNS, TABLE_COLUMNS, compare_logs
+from defplan_mj.log.compare import DRIFT_COLUMNS, compare_logs
 from defplan_mj.log.compare_plot import comparison_figures
 from defplan_mj.log.reader import EpisodeLog
 from defplan_mj.planning.evaluation import wilson_interval
@@ -202,7 +202,7 @@ def comparison_section(material: Material) -> Section:
             "the body gets up to speed from rest; the surrogate knows full speed only.",
         ),
         Table(
-            TABLE_COLUMNS,
+            comparison.columns,
             comparison.table(),
             "Error of one cycle. p95: 95th percentile (of the absolute value, for the heading). "
             "Spread: what is left if the prediction were the mean of these very cycles.",
