@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from defplan_mj.body.model import Body, Material, Medium
 from defplan_mj.gait.gait import Gait
-from defplan_mj.log.poses import predict, quaternion, rotation_matrix
+from defplan_mj.log.poses import predict, quaternion, rotation_matrix, space_of
 from defplan_mj.log.recorder import Recorder, RunFiles
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.surrogate import Surrogate
@@ -250,6 +250,16 @@ def swimming_body(folder: Path) -> Body:
     return build_body(folder / "pebble.stl", options)
 
 
+def tumbling_gait(body: Body) -> Gait:
+    """Return five tasks, as a spatial swimmer has them, that wave all modes each in its own way."""
+    rng = np.random.default_rng(6)
+    r = body.n_modes
+    alpha = 0.4 * rng.normal(size=(5, 2, r))
+    return replace(
+        swimming_gait(body), task_names=SPATIAL_TASKS, alpha=alpha, beta=np.ones((5, 2, r))
+    )
+
+
 def swimming_gait(body: Body) -> Gait:
     """Return three tasks that wave the first mode, the last two with a bend."""
     r = body.n_modes
@@ -269,12 +279,13 @@ def swimming_gait(body: Body) -> Gait:
     )
 
 
-def record_swim(path: Path, files: RunFiles, cycles: int = 6) -> None:
+def record_swim(path: Path, files: RunFiles, cycles: int = 6, scene: Scene | None = None) -> None:
     """Log an episode of the navigation environment, with gaits drawn at random."""
     from defplan_mj.host.navigation import navigation_environment
     from defplan_mj.task import Navigation
 
-    navigation, scene = Navigation(laser_range=8.0), sample_scene(speed=0.1)
+    scene = scene or sample_scene(speed=0.1)
+    navigation, gaits = Navigation(laser_range=8.0, space=space_of(scene)), len(files.gait.alpha)
     env = navigation_environment(files.body, files.gait, navigation, lambda random: scene)
     rng = np.random.default_rng(5)
     with Recorder(path, files) as recorder:
@@ -286,8 +297,8 @@ def record_swim(path: Path, files: RunFiles, cycles: int = 6) -> None:
         recorder.begin({**context, "state": env.physics.reduced_state()}, scene)
         for cycle in range(cycles):
             time, x = env.physics.time(), env.physics.reduced_state()
-            laser, gait_index = timestep.observation["laser"].copy(), int(rng.integers(3))
+            laser, gait_index = timestep.observation["laser"].copy(), int(rng.integers(gaits))
             timestep = env.step(gait_index)
-            recorder.cycle(cycle, time, x, gait_index, np.zeros(3), timestep.reward, laser)
+            recorder.cycle(cycle, time, x, gait_index, np.zeros(gaits), timestep.reward, laser)
         recorder.end("timeout", f"{cycles} cycles are over")
     env.close()

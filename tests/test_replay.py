@@ -7,9 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from log_samples import record_swim, swimming_body, swimming_gait
+from log_samples import (
+    record_swim,
+    spatial_scene,
+    swimming_body,
+    swimming_gait,
+    tumbling_gait,
+)
 
 from defplan_mj.errors import DefplanError
+from defplan_mj.log.poses import rotation_matrix
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.recorder import RunFiles
 from defplan_mj.log.replay import replay_log, write_video
@@ -37,6 +44,21 @@ def test_a_log_replays_to_the_bit_in_kernel_and_mujoco(path):
     assert result.steps == 66 and result.largest == 0 and result.changed == ()
     assert "identical to the bit" in result.sentence()
     assert json.loads(json.dumps(result.to_json(), allow_nan=False))["identical"] is True
+
+
+def test_a_spatial_log_replays_to_the_bit_laser_and_all(tmp_path):
+    body = swimming_body(tmp_path)
+    path = tmp_path / "tumble.mcap"
+    record_swim(path, RunFiles.of(body, tumbling_gait(body)), cycles=12, scene=spatial_scene())
+    log = read_log(path)
+    assert log.space == "spatial" and log.laser.min() < 8.0
+    # it lies on its side from the start
+    assert abs(rotation_matrix(log.states[0, 3:7])[2, 2]) < 0.1
+    result = replay_log(log)
+    assert result.identical, result.sentence()
+    assert result.simulators == ("kernel", "mujoco") and result.largest == 0
+    result = replay_log(replace(log, laser=flip(log.laser, 3, 5)))
+    assert (result.difference.quantity, result.difference.label) == ("laser", "beam 5")
 
 
 def test_the_body_did_move(path):

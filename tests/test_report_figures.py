@@ -9,6 +9,7 @@ import trimesh
 from defplan_mj.log.plotting import view
 from defplan_mj.report.content import duration, mean_sd, number, percent
 from defplan_mj.report.drawing import boundary_faces, outlines
+from defplan_mj.report.views import episode_views
 
 
 def winding(point: np.ndarray, loops: list[np.ndarray]) -> int:
@@ -66,6 +67,27 @@ def test_a_view_is_a_rotation_that_sees_the_side_it_says():
     np.testing.assert_allclose(rotation @ [1, 0, 0], [1, 0, 0], atol=1e-15)
     np.testing.assert_allclose(rotation @ [0, 0, 1], [0, 1, 0], atol=1e-15)
     assert np.linalg.det(view(20, 40)) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("space", ["planar", "spatial"])
+@pytest.mark.parametrize("target", [[3.0, -4.0, 2.0], [0.1, 0.2, 9.0], [0.0, 0.0, -5.0]])
+def test_views_of_an_episode_are_rotations_that_lead_to_the_right(space, target):
+    if space == "planar" and not any(target[:2]):
+        pytest.skip("a planar way is not vertical")
+    start = np.array([1.0, 2.0, 3.0])
+    goal = start + target
+    views = episode_views(start, goal, space)
+    assert len(views) == (1 if space == "planar" else 4)
+    for seen in views:
+        np.testing.assert_allclose(seen.rotation @ seen.rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(seen.rotation) == pytest.approx(1)  # nothing is mirrored
+        np.testing.assert_allclose(seen.place(start), 0, atol=1e-12)
+    way = np.linalg.norm(target[: 2 if space == "planar" else 3])
+    for seen in views if space == "planar" else views[1:3]:
+        np.testing.assert_allclose(seen.place(goal), [way, 0], atol=1e-12)
+    if space == "spatial":
+        np.testing.assert_allclose(views[3].place(goal), 0, atol=1e-12)  # straight ahead
+        assert views[3].depth(goal) == pytest.approx(-way)
 
 
 def test_numbers_are_written_for_people():

@@ -11,13 +11,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import record_swim, sample_surrogate, swimming_body, swimming_gait
+from log_samples import (
+    record_swim,
+    sample_body,
+    sample_surrogate,
+    spatial_parts,
+    spatial_scene,
+    swimming_body,
+    swimming_gait,
+    tumbling_gait,
+)
 
 from defplan_mj import files
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.recorder import RunFiles
 from defplan_mj.report import write_report
+from defplan_mj.report.planning_sections import MANY
 
 SECTIONS = {
     "body": "Body and modes",
@@ -133,6 +143,50 @@ def test_the_page_has_all_sections_with_their_pictures(page, run):
         "trajectories": 1,
         "comparison": 4,
     }
+
+
+@pytest.fixture(scope="module")
+def spatial_run(tmp_path_factory):
+    """The folder of a run in space: five gaits, logs among spheres, a fall, moving obstacles."""
+    folder = tmp_path_factory.mktemp("runs") / "pebble-tumble-seed0"
+    folder.mkdir()
+    body = swimming_body(tmp_path_factory.mktemp("mesh"))
+    gait, surrogate = tumbling_gait(body), spatial_parts(sample_body())[1]
+    surrogate = replace(surrogate, body_hash=body.hash)
+    for name, part in (("body", body), ("gait", gait), ("surrogate", surrogate)):
+        part.save(folder / f"{name}.npz")
+    parts = RunFiles.of(body, gait, surrogate)
+    for i in range(MANY):
+        target = [4 * np.cos(i), 4 * np.sin(i), i - 2.0]
+        scene = spatial_scene(obstacles=2, target=target)
+        record_swim(folder / f"k2-{i:02d}.mcap", parts, cycles=4, scene=scene)
+    outcome = {"episodes": 40, "success": 0.9, "collision": 0.05, "timeout": 0.0, "fall": 0.05}
+    moving = [
+        {"speed": v, "episodes": 40, "success": r, "interval": {"success": [r - 0.1, r]}}
+        for v, r in ((0.25, 1.0), (0.5, 0.9), (1.0, 0.6), (2.0, 0.3))
+    ]
+    evaluation = {"k2": {"with_shield": outcome}, "moving": moving}
+    (folder / "evaluation.json").write_text(json.dumps(evaluation))
+    return folder
+
+
+def test_a_spatial_run_is_drawn_from_all_sides_and_knows_no_heading(spatial_run):
+    page = Page(write_report(spatial_run))
+    pictures = {name: len(images) for name, images in page.images.items()}
+    assert pictures == {
+        "body": 5,
+        "gaits": 5 * 4,  # controls, path from two sides, the body in a row
+        "success": 2,  # rates, moving obstacles
+        "trajectories": 4 + 2 * 4,  # all of them, and two of them, from four sides
+        "comparison": 5,
+    }
+    text = " ".join(" ".join(page.text.values()).lower().split())
+    for word in ("heading", "yaw", "fish", "cylinder", "silhouette from above"):
+        assert word not in text, word
+    assert "rotation mean (rad)" in text
+    # Wilson's interval of 2 of 40: 0.0138 to 0.1650
+    assert "fall" in page.text["success"] and "5% (1–17%)" in page.text["success"]
+    assert "40 a speed" in page.text["success"]
 
 
 def test_the_page_loads_nothing_from_outside(page, run):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,48 +10,114 @@ from matplotlib.figure import Figure
 
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait, dmp
-from defplan_mj.log.plotting import FAINT, INK, PATH, SERIES, new_figure, styled
+from defplan_mj.log.plotting import FAINT, INK, PATH, SERIES, new_figure, styled, view
 from defplan_mj.report.body_figures import surface_rows
-from defplan_mj.report.drawing import silhouette
+from defplan_mj.report.drawing import draw_surface, silhouette
+from defplan_mj.report.views import View, world_views
+from defplan_mj.task import SPACES
 
 _SHADOW = "#9cc6cd"
 
-Place = Callable[[np.ndarray], np.ndarray]
+TOGETHER = 6  # curves that can be told apart in one pair of axes
+SHOWN = 6  # bodies in a row
 
 
 @styled
 def controls_figure(gait: Gait, task: int) -> Figure:
-    """Return the target shape of every modal coordinate over two cycles of a task."""
-    figure, grid = new_figure(4.6, 2.5)
-    axes = grid[0, 0]
+    """Return the target shape of every modal coordinate over two cycles of a task.
+
+    Many of them have a line each, one below the other, all at one scale.
+    """
     time = np.linspace(0, 2 * gait.cycle_seconds, 300)
     shapes = dmp(gait.alpha[task], gait.beta[task], gait.mu, gait.tau, time)
-    for i, curve in enumerate(np.clip(shapes, -gait.amplitude, gait.amplitude).T):
-        axes.plot(time, curve, color=SERIES[i % len(SERIES)], label=f"$\\bar u_{{{i + 1}}}$")
+    curves = np.clip(shapes, -gait.amplitude, gait.amplitude).T
+    names = [f"$\\bar u_{{{i + 1}}}$" for i in range(len(curves))]
+    apart = len(curves) > TOGETHER
+    figure, grid = new_figure(4.6, 0.7 + 0.26 * len(curves) if apart else 2.5)
+    axes = grid[0, 0]
+    bound = float(np.max(gait.amplitude))
+    for i, curve in enumerate(curves):
+        colour = SERIES[i % len(SERIES)]
+        base = -2.1 * bound * i if apart else 0.0
+        if apart:
+            axes.axhline(base, color=FAINT, lw=0.5)
+            axes.fill_between(time, base, base + curve, color=colour, alpha=0.25, lw=0)
+        axes.plot(time, base + curve, color=colour, lw=1.0 if apart else 1.4, label=names[i])
     axes.axvline(gait.cycle_seconds, color=FAINT, lw=0.7, ls=":")
-    bound = 1.08 * float(np.max(gait.amplitude))
-    axes.set(xlabel="time (s)", ylabel="target shape", ylim=(-bound, bound))
     axes.set_xlim(0, 2 * gait.cycle_seconds)
-    axes.set_title(gait.task_names[task], fontweight="bold", loc="left")
-    figure.legend(loc="outside right center", handlelength=1.2)
+    axes.set(xlabel="time (s)")
+    title = gait.task_names[task]
+    if apart:
+        axes.set_yticks([-2.1 * bound * i for i in range(len(curves))], names)
+        axes.tick_params(axis="y", length=0)
+        axes.set_ylim(-2.1 * bound * (len(curves) - 0.4), 1.2 * bound)
+        axes.set_title(f"{title}; lines are {2.1 * bound:.1f} apart", fontweight="bold", loc="left")
+    else:
+        axes.set(ylabel="target shape", ylim=(-1.08 * bound, 1.08 * bound))
+        axes.set_title(title, fontweight="bold", loc="left")
+        figure.legend(loc="outside right center", handlelength=1.2)
     return figure
 
 
-@styled
-def path_figure(gait: Gait, task: int, dynamics: ReducedDynamics, steps: int = 200) -> Figure:
-    """Return the path of the centre of mass from rest, with the body's silhouette along it."""
+def play(gait: Gait, task: int, dynamics: ReducedDynamics, steps: int = 200) -> np.ndarray:
+    """Return the states (steps + 1, nx) of a task that is repeated from rest."""
     cycles = -(-steps // gait.steps_per_cycle)
     shapes = np.tile(gait.table()[task], (cycles, 1))[:steps]
-    states, _ = dynamics.rollout_count(dynamics.rest_state(), shapes)
-    figure, grid = new_figure(4.6, 2.9)
-    axes = grid[0, 0]
-    draw_path(axes, states[:, :2])
-    draw_bodies(axes, dynamics, states, 1.3 * dynamics.body.length)
-    ends = states[:: gait.steps_per_cycle, :2]
-    axes.scatter(*ends.T, s=5, color=INK, zorder=5)
-    axes.set(xlabel="x (m)", ylabel="y (m)")
-    axes.set_title(f"{gait.task_names[task]}: {steps} steps from rest", loc="left")
-    axes.set_aspect("equal", adjustable="datalim")
+    return dynamics.rollout_count(dynamics.rest_state(), shapes)[0]
+
+
+@styled
+def path_figures(
+    gait: Gait, task: int, dynamics: ReducedDynamics, states: np.ndarray, space: str
+) -> list[Figure]:
+    """Return the path of the centre of mass over states of `play`, with the body's silhouette.
+
+    In the plane from above, in space from two sides.
+    """
+    bodies = states_along(states, 1.3 * dynamics.body.length, space)
+    ends = states[:: gait.steps_per_cycle, :3]
+    figures = []
+    for seen in world_views(space) if space == "planar" else world_views(space)[2:]:
+        figure, grid = new_figure(4.6, 2.9)
+        axes = grid[0, 0]
+        # a body that turns where it is would hide all of its path
+        draw_path(axes, seen.place(states[:, :3]), over=space == "spatial")
+        draw_bodies(axes, dynamics, bodies, seen)
+        axes.scatter(*seen.place(ends).T, s=5, color=INK, zorder=5)
+        name = f"{gait.task_names[task]}: {len(states) - 1} steps from rest"
+        axes.set_title(name if seen.name == "from above" else f"{name}, {seen.name}", loc="left")
+        seen.finish(axes, dynamics.body.length)
+        figures.append(figure)
+    return figures
+
+
+@styled
+def strip_figure(
+    gait: Gait, task: int, dynamics: ReducedDynamics, states: np.ndarray, space: str
+) -> Figure:
+    """Return the body within one steady cycle of states of `play`; in space also cycle by cycle."""
+    n = gait.steps_per_cycle
+    first = min(3 * n, len(states) - 1 - n)
+    rows = {"steps of a cycle": [round(first + n * i / SHOWN) for i in range(SHOWN)]}
+    if space == "spatial":
+        rows["after cycles"] = [n * i for i in range(min(SHOWN, (len(states) - 1) // n + 1))]
+    figure, grid = new_figure(4.6, 1.1 * len(rows) + 0.2, len(rows), 1)
+    rotation = view(-70, 12)
+    for axes, (label, chosen) in zip(grid[:, 0], rows.items(), strict=True):
+        gap = 1.25 * dynamics.body.length
+        for column, i in enumerate(chosen):
+            x = states[i]
+            points = dynamics.surface(x) - x[:3] + column * gap * rotation[0]
+            draw_surface(axes, points, surface_rows(dynamics.body), rotation)
+            number = i // n if label == "after cycles" else i - first
+            axes.annotate(
+                str(number), (column * gap, 0), xytext=(0, -30), textcoords="offset points",
+                ha="center", va="top", fontsize=7, color=FAINT,
+            )  # fmt: skip
+        reach = 0.62 * dynamics.body.length
+        axes.set_xlim(-reach, (SHOWN - 1) * gap + reach)
+        axes.set_ylim(-reach, reach)
+        axes.set_title(f"{gait.task_names[task]}, {label}", loc="left", fontsize=8)
     return figure
 
 
@@ -71,34 +137,30 @@ def history_figure(history: Sequence[float]) -> Figure:
     return figure
 
 
-def draw_path(axes: Axes, path: np.ndarray) -> None:
-    """Draw the (n, 2) path of a centre of mass."""
-    axes.plot(*path.T, color=PATH, lw=1.6, zorder=4)
+def draw_path(axes: Axes, path: np.ndarray, over: bool = False) -> None:
+    """Draw the (n, 2) path of a centre of mass, below the bodies on it or over them."""
+    axes.plot(*path.T, color=PATH, lw=1.6, zorder=4.8 if over else 4)
 
 
-def flat(points: np.ndarray) -> np.ndarray:
-    """Return x and y of points (..., 3)."""
-    return points[..., :2]
+def states_along(states: np.ndarray, spacing: float, space: str) -> list[np.ndarray]:
+    """Return the last state and others at least `spacing` (m) apart; in the plane, horizontally."""
+    d = SPACES[space]
+    chosen = [states[-1]]
+    for x in states:
+        if min(np.linalg.norm(x[:d] - other[:d]) for other in chosen) >= spacing:
+            chosen.append(x)
+    return chosen
 
 
 def draw_bodies(
     axes: Axes,
     dynamics: ReducedDynamics,
-    states: np.ndarray,
-    spacing: float,
+    states: Sequence[np.ndarray],
+    seen: View,
     colour: str = _SHADOW,
-    place: Place = flat,
 ) -> None:
-    """Draw silhouettes along a path, at least `spacing` (m) apart from each other, and the last one.
-
-    Args:
-        place: maps world points (..., 3) to the plane of the drawing (..., 2), without mirroring.
-    """
+    """Draw the body's silhouette in each of some states."""
     rows = surface_rows(dynamics.body)
-    chosen = [states[-1]]
     for x in states:
-        if min(np.linalg.norm(x[:2] - other[:2]) for other in chosen) >= spacing:
-            chosen.append(x)
-    for x in chosen:
-        silhouette(axes, place(dynamics.surface(x)), rows, colour)
+        silhouette(axes, seen.place(dynamics.surface(x)), rows, colour)
     axes.autoscale_view()

@@ -77,6 +77,18 @@ class Material:
         except DefplanError:
             return None
 
+    @cached_property
+    def space(self) -> str:
+        """'planar' or 'spatial': where the task navigates."""
+        if self.spec is not None:
+            return self.spec.navigation.space
+        return self.logs[0].space if self.logs else "planar"
+
+    @property
+    def legged(self) -> bool:
+        """Whether gaits are seen better from the side: in space, and on the ground."""
+        return self.space == "spatial" or getattr(self.spec, "terrain", None) is not None
+
     @property
     def switching(self) -> dict[str, Any]:
         """What a cycle of each gait does while they are switched: 'tasks' and 'switching'."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +13,8 @@ from matplotlib.patches import Circle
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.log.plotting import FAINT, INK, OBSTACLE, PATH, SERIES, TARGET, new_figure, styled
 from defplan_mj.log.reader import EpisodeLog
-from defplan_mj.report.gait_figures import Place, draw_bodies, draw_path, flat
+from defplan_mj.report.gait_figures import draw_bodies, draw_path, states_along
+from defplan_mj.report.views import View, episode_views, world_views
 
 _ABSCISSAE = {"transitions": "transitions", "iterations": "iterations", "seconds": "seconds"}
 _REWARD = "#c8392b"  # the paper's red mean, on grey from minimum to maximum
@@ -77,43 +79,49 @@ def rates_figure(rates: Sequence[tuple[str, float, tuple[float, float]]]) -> Fig
 
 
 @styled
-def episode_figure(log: EpisodeLog, dynamics: ReducedDynamics) -> Figure:
-    """Return one episode from above, turned so that the way leads to the right.
+def episode_figures(log: EpisodeLog, dynamics: ReducedDynamics) -> list[Figure]:
+    """Return one episode from above, or in space from four sides; see `views.episode_views`.
 
     Path green, obstacles blue, target red, bodies on the way.
     """
-    figure, grid = new_figure(4.6, 2.9)
-    axes = grid[0, 0]
-    start = log.states[0, :2]
-    x, y = log.scene.target[:2] - start
-    turn = np.array([[x, y], [-y, x]]) / np.hypot(x, y)
-
-    def place(points: np.ndarray) -> np.ndarray:
-        return (points[..., :2] - start) @ turn.T
-
-    draw_scene(axes, log, place)
-    draw_path(axes, place(log.states))
-    draw_bodies(axes, dynamics, log.states, 1.8 * dynamics.body.length, INK, place)
-    hit = place(log.states[1:][log.clearance < 0])
-    if len(hit):
-        axes.scatter(hit[0, 0], hit[0, 1], s=60, marker="x", color=TARGET, zorder=6)
-    axes.set(xlabel="towards the target (m)", ylabel="to the left (m)")
     cycles = f", {len(log.gait_index)} cycles" if log.outcome else ""
-    axes.set_title(f"{log.path.stem}: {log.outcome or log.fault}{cycles}", loc="left")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.autoscale_view()
-    return figure
+    title = f"{log.path.stem}: {log.outcome or log.fault}{cycles}"
+    bodies = states_along(log.states, 1.8 * dynamics.body.length, log.space)
+    views = episode_views(log.states[0, :3], log.scene.target, log.space)
+    way = float(np.linalg.norm(log.scene.target - log.states[0, :3]))
+    figures = []
+    for view in views:
+        figure, grid = new_figure(4.6, 2.9)
+        axes = grid[0, 0]
+        draw_scene(axes, log, view)
+        draw_path(axes, view.place(log.states[:, :3]))
+        draw_bodies(axes, dynamics, bodies, view, INK)
+        hit = view.place(log.states[1:, :3][log.clearance < 0])
+        if len(hit):
+            axes.scatter(hit[0, 0], hit[0, 1], s=60, marker="x", color=TARGET, zorder=6)
+        axes.set_title(title if view is views[0] else view.name, loc="left")
+        view.finish(axes, 0.15 * way)
+        figures.append(figure)
+    return figures
 
 
-def draw_scene(axes: Axes, log: EpisodeLog, place: Place = flat, faint: bool = False) -> None:
-    """Draw target and obstacles; moving ones where they are at the end, with their way as a line."""
+def draw_scene(axes: Axes, log: EpisodeLog, view: View, faint: bool = False) -> None:
+    """Draw target and obstacles; moving ones where they are at the end, with their way as a line.
+
+    Seen in parallel, a sphere is a circle from everywhere; a cylinder is one from above only.
+    """
     scene, end = log.scene, float(log.time[-1])
+    place, solid = view.place, 0.85 if log.space == "planar" else 0.4
     x, y = place(scene.target)
+    if not view.labels:  # an oblique view: where the target's foot is, level with the start
+        foot = np.append(scene.target[:2], log.states[0, 2])
+        lines = place(np.stack([log.states[0, :3], foot, scene.target]))
+        axes.plot(*lines.T, color=FAINT, lw=0.6, ls=":", zorder=1)
     axes.add_patch(Circle((x, y), scene.goal_radius, color=TARGET, alpha=0.25, lw=0))
     axes.scatter(x, y, s=22, color=TARGET, zorder=5)
     first, last = place(scene.centres), place(scene.centres + scene.velocities * end)
     for a, b, radius, velocity in zip(first, last, scene.radii, scene.velocities, strict=True):
-        alpha = 0.4 if faint else 0.85
+        alpha = 0.45 * solid if faint else solid
         axes.add_patch(Circle((b[0], b[1]), radius, color=OBSTACLE, alpha=alpha, lw=0))
         if velocity.any() and not faint:
             axes.add_patch(Circle((a[0], a[1]), radius, fill=False, ec=OBSTACLE, lw=0.7, ls=":"))
@@ -121,17 +129,37 @@ def draw_scene(axes: Axes, log: EpisodeLog, place: Place = flat, faint: bool = F
 
 
 @styled
-def overview_figure(logs: Sequence[EpisodeLog]) -> Figure:
-    """Return many episodes in one picture: how the paths fan out to their targets."""
-    figure, grid = new_figure(4.6, 4.2)
+def overview_figures(logs: Sequence[EpisodeLog]) -> list[Figure]:
+    """Return many episodes in one picture a view: how the paths fan out to their targets."""
+    figures = []
+    farthest = max(float(np.linalg.norm(log.scene.target)) for log in logs)
+    for view in world_views(logs[0].space):
+        figure, grid = new_figure(4.6, 4.2)
+        axes = grid[0, 0]
+        for log in logs:
+            draw_scene(axes, log, view, faint=True)
+        for log in logs:
+            draw_path(axes, view.place(log.states[:, :3]))
+        x, y = view.place(logs[0].states[0, :3])
+        axes.scatter(x, y, s=18, color=INK, zorder=6)
+        if logs[0].space == "spatial":
+            axes.set_title(view.name, loc="left")
+        view.finish(axes, 0.3 * farthest)
+        figures.append(figure)
+    return figures
+
+
+@styled
+def moving_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Return the success rate over the obstacles' speed, with 95% intervals (the paper's Fig. 6)."""
+    figure, grid = new_figure(4.6, 2.8)
     axes = grid[0, 0]
-    for log in logs:
-        draw_scene(axes, log, faint=True)
-    for log in logs:
-        draw_path(axes, log.states[:, :2])
-    x, y = logs[0].states[0, :2]
-    axes.scatter(x, y, s=18, color=INK, zorder=6)
-    axes.set(xlabel="x (m)", ylabel="y (m)")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.autoscale_view()
+    speed = np.array([row["speed"] for row in rows])
+    rate = 100 * np.array([row["success"] for row in rows])
+    low, high = 100 * np.array([row["interval"]["success"] for row in rows]).T
+    axes.fill_between(speed, low, high, color=PATH, alpha=0.2, lw=0, label="95% interval")
+    axes.plot(speed, rate, color=PATH, marker="o", ms=4, label="success")
+    axes.set(xlabel="speed of the obstacles (m/s)", ylabel="success (%)", ylim=(-2, 103))
+    axes.set_xlim(0, 1.03 * speed.max())
+    axes.legend(loc="lower left")
     return figure

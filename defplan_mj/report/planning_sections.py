@@ -22,15 +22,18 @@ from defplan_mj.report.content import (
 )
 from defplan_mj.report.material import Material
 from defplan_mj.report.planning_figures import (
-    episode_figure,
-    overview_figure,
+    episode_figures,
+    moving_figure,
+    overview_figures,
     rates_figure,
     reward_figure,
     success_figure,
 )
 from defplan_mj.report.sections import missing
 
-SHOWN, MANY = 4, 6  # episodes of a kind that are drawn one by one; that call for an overview
+SHOWN, SHOWN_IN_SPACE = 4, 2  # episodes of a kind that are drawn one by one
+MANY = 6  # episodes that call for an overview
+OUTCOMES = ("success", "collision", "fall", "timeout")  # those that an evaluation knows are shown
 
 
 def training_section(material: Material) -> Section:
@@ -64,37 +67,24 @@ def evaluations(document: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str
 
 
 def success_section(material: Material) -> Section:
-    """Return success, collision and timeout rates with their intervals."""
+    """Return how episodes end, with intervals, among obstacles still and moving."""
     section = Section("success", "Does it arrive?")
     found = list(evaluations(material.documents.get("evaluation")))
     if not found:
         section.blocks.append(missing(material, "evaluation.json"))
         return section
-    rows = []
-    for label, result in found:
-        low, high = interval(result)
-        rows.append(
-            [
-                label,
-                str(episodes(result)),
-                percent(rate(result, "success")),
-                f"{100 * low:.0f}–{100 * high:.0f}%",
-                percent(rate(result, "collision")),
-                percent(rate(result, "timeout")),
-                number(result.get("cycles_mean"), 1),
-                number(result.get("real_time_factor"), 0),
-            ]
-        )
-    columns = [
-        "scenes",
-        "episodes",
-        "success",
-        "95% interval",
-        "collision",
-        "timeout",
-        "cycles",
-        "× real time",
+    outcomes = [name for name in OUTCOMES if any(name in result for _, result in found)]
+    rows = [
+        [
+            label,
+            str(episodes(result)),
+            *(_rate_text(result, outcome) for outcome in outcomes),
+            number(result.get("cycles_mean"), 1),
+            number(result.get("real_time_factor"), 0),
+        ]
+        for label, result in found
     ]
+    columns = ["scenes", "episodes", *outcomes, "cycles", "× real time"]
     section.blocks += [
         drawing(
             rates_figure([(label, rate(r, "success"), interval(r)) for label, r in found]),
@@ -105,13 +95,29 @@ def success_section(material: Material) -> Section:
             columns,
             rows,
             "Episodes on the reduced dynamics in the MuJoCo scene, contact checked at every physics "
-            "step. 'K2' are the training targets, 'novel' ones were never seen; the shield vetoes "
-            "gaits that have no collision-free continuation in the laser's points. The interval is "
-            "Wilson's. Cycles: mean of the successful episodes. × real time: simulated seconds per "
-            "second of decision and physics, in one process.",
+            "step; in brackets the 95% interval (Wilson's). 'K2' are the training targets, 'novel' "
+            "ones were never seen; the shield vetoes gaits that have no collision-free continuation "
+            "in the laser's points. Cycles: mean of the successful episodes. × real time: simulated "
+            "seconds per second of decision and physics, in one process.",
         ),
     ]
+    moving = material.documents["evaluation"].get("moving")
+    if moving:
+        section.blocks.append(
+            drawing(
+                moving_figure(moving),
+                f"K2 episodes with the shield, {moving[0]['episodes']} a speed, among obstacles that "
+                "move, each in its own random direction, as in the paper's Fig. 6; the planner was "
+                "trained among still ones and sees no speeds.",
+            )
+        )
     return section
+
+
+def _rate_text(result: dict[str, Any], outcome: str) -> str:
+    """Return the share of an outcome with its interval."""
+    low, high = interval(result, outcome)
+    return f"{percent(rate(result, outcome))} ({100 * low:.0f}–{100 * high:.0f}%)"
 
 
 def episodes(result: dict[str, Any]) -> int:
@@ -120,10 +126,10 @@ def episodes(result: dict[str, Any]) -> int:
     return len(n) if isinstance(n, list) else int(n)
 
 
-def interval(result: dict[str, Any]) -> tuple[float, float]:
-    """Return the 95% interval of an evaluation's success rate."""
+def interval(result: dict[str, Any], outcome: str = "success") -> tuple[float, float]:
+    """Return the 95% interval of the share of an outcome."""
     n = episodes(result)
-    return wilson_interval(round(rate(result, "success") * n), n) if n else (0.0, 1.0)
+    return wilson_interval(round(rate(result, outcome) * n), n) if n else (0.0, 1.0)
 
 
 def rate(result: dict[str, Any], outcome: str) -> float:
@@ -136,7 +142,7 @@ def rate(result: dict[str, Any], outcome: str) -> float:
 
 
 def trajectory_section(material: Material) -> Section:
-    """Return logged episodes from above, the paper's Fig. 6."""
+    """Return the paths of logged episodes, the paper's Fig. 6."""
     section = Section("trajectories", "Trajectories")
     logs, dynamics = material.logs, material.dynamics
     faults = [text for name, text in material.faults.items() if name.endswith(".mcap")]
@@ -151,28 +157,48 @@ def trajectory_section(material: Material) -> Section:
             log
         )
     for name, group in groups.items():
+        spatial = group[0].space == "spatial"
         if len(group) >= MANY:
+            sides = (
+                ", seen obliquely (dotted: each target's foot, level with the start), from above, and "
+                "along y and x"
+                if spatial
+                else ""
+            )
             section.blocks.append(
-                drawing(
-                    overview_figure(group),
-                    f"All {len(group)} logged {name} episodes in one picture: paths from the common "
-                    "start (black dot) to the targets (red). Every episode has its own obstacles "
-                    "(blue): a path may cross those of another.",
+                Figures(
+                    [drawing(figure) for figure in overview_figures(group)],
+                    f"All {len(group)} logged {name} episodes in one picture{sides}: paths from the "
+                    "common start (black dot) to the targets (red). Every episode has its own "
+                    "obstacles (blue): a path may cross those of another.",
                 )
             )
         # what failed is shown first
-        shown = sorted(group, key=lambda log: log.outcome == "success")[:SHOWN]
-        more = f" ({len(shown)} of {len(group)}, failures first)" if len(group) > SHOWN else ""
+        most = SHOWN_IN_SPACE if spatial else SHOWN
+        shown = sorted(group, key=lambda log: log.outcome == "success")[:most]
+        more = f" ({len(shown)} of {len(group)}, failures first)" if len(group) > most else ""
+        sides = "from above and turned so that the target is to the right"
+        if spatial:
+            sides = (
+                "four pictures each: obliquely; turned so that the target is to the right, from above "
+                "and from the side; and along the way, with the target straight ahead. A path that "
+                "crosses an obstacle in one of them passes before or behind it"
+            )
         section.blocks.append(
             Figures(
-                [drawing(episode_figure(log, dynamics)) for log in shown],
-                f"Logged {name} episodes{more}, from above and turned so that the target is to the "
-                "right: path of the centre of mass (green), silhouettes of the body on its way "
-                "(black), obstacles (blue; a moving one where it is at the end, dotted where it "
-                "began), target within its goal radius (red).",
+                [drawing(figure) for log in shown for figure in episode_figures(log, dynamics)],
+                f"Logged {name} episodes{more}, {sides}: path of the centre of mass (green), "
+                "silhouettes of the body on its way (black), obstacles (blue; a moving one where it "
+                "is at the end, dotted where it began), target within its goal radius (red).",
             )
         )
     return section
+
+
+_TURNING = {
+    "heading": "Heading: true minus predicted, its p95 of the absolute value.",
+    "rotation": "Rotation: the angle between predicted and true attitude, about whatever axis.",
+}
 
 
 def comparison_section(material: Material) -> Section:
@@ -186,6 +212,7 @@ def comparison_section(material: Material) -> Section:
     except DefplanError as error:
         section.blocks.append(Missing(f"{error}."))
         return section
+    name = comparison.turning_name
     section.blocks += [
         Text(
             f"The planner learned on the surrogate and drives the deformable body. Over the "
@@ -197,14 +224,14 @@ def comparison_section(material: Material) -> Section:
             [drawing(figure) for figure in comparison_figures(comparison)],
             "Displacement in one cycle as seen from its start (dots: the truth, crosses: the "
             "surrogate); the path of one log beside the surrogate's own, which never sees the truth "
-            "after the start and drifts; errors of position and heading after one cycle, a dot a "
+            f"after the start and drifts; errors of position and {name} after one cycle, a dot a "
             "cycle, the box from quartile to quartile. Hollow: an episode's first cycles, in which "
             "the body gets up to speed from rest; the surrogate knows full speed only.",
         ),
         Table(
             comparison.columns,
             comparison.table(),
-            "Error of one cycle. p95: 95th percentile (of the absolute value, for the heading). "
+            f"Error of one cycle; p95: 95th percentile. {_TURNING[name]} "
             "Spread: what is left if the prediction were the mean of these very cycles.",
         ),
         Table(DRIFT_COLUMNS, comparison.drift_rows(), "Each log; drift: of the chained surrogate."),

@@ -88,7 +88,9 @@ def summary(material: Material) -> list[Fact]:
         low, high = interval(result)
         detail = f"{label}; 95%: {100 * low:.0f} to {100 * high:.0f}%"
         facts.append(Fact(percent(success), f"of {n} targets reached", detail))
-    for task in material.switching.get("tasks", [])[:1]:
+    tasks = material.switching.get("tasks", [])
+    if tasks:
+        task = max(tasks, key=lambda task: task["advance_m"])
         facts.append(Fact(f"{task['advance_m']:.2f} m", "a cycle", f"gait '{task['name']}'"))
     if material.seconds:
         total = duration(sum(material.seconds.values()))

@@ -20,7 +20,13 @@ from defplan_mj.report.content import (
     mean_sd,
     number,
 )
-from defplan_mj.report.gait_figures import controls_figure, history_figure, path_figure
+from defplan_mj.report.gait_figures import (
+    controls_figure,
+    history_figure,
+    path_figures,
+    play,
+    strip_figure,
+)
 from defplan_mj.report.material import Material
 
 
@@ -95,18 +101,23 @@ def gait_section(material: Material) -> Section:
         )
     )
     for task, name in enumerate(gait.task_names):
-        pair = [
+        states = play(gait, task, dynamics)
+        drawn = [
             drawing(controls_figure(gait, task)),
-            drawing(path_figure(gait, task, dynamics)),
+            *(drawing(f) for f in path_figures(gait, task, dynamics, states, material.space)),
         ]
-        section.blocks.append(
-            Figures(
-                pair,
-                f"Gait '{name}': the target shape of each modal coordinate over two cycles, and the "
-                "path of the centre of mass (green, a black dot a cycle) when the gait is played "
-                "from rest, with the body's silhouette from above.",
-            )
+        sides = "from above" if material.space == "planar" else "from two sides"
+        caption = (
+            f"Gait '{name}': the target shape of each modal coordinate over two cycles, and the "
+            "path of the centre of mass (green, a black dot a cycle) when the gait is played "
+            f"from rest, with the body's silhouette {sides}"
         )
+        if material.legged:
+            strip = strip_figure(gait, task, dynamics, states, material.space)
+            drawn.append(drawing(strip, shaded=True))
+            caption += "; the body within a cycle, numbered by steps"
+            caption += ", and after each of the first cycles" * (material.space == "spatial")
+        section.blocks.append(Figures(drawn, f"{caption}."))
     history = gait.meta.get("history", [])
     if isinstance(history, list) and len(history) > 1:
         section.blocks.append(
