@@ -1,4 +1,4 @@
-"""A small fish, a hand-made gait and scenes for the tests of the MuJoCo host."""
+"""Small bodies, hand-made gaits and scenes for the tests of the MuJoCo host."""
 
 from __future__ import annotations
 
@@ -14,13 +14,25 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.planning.scenes import Scene, level_attitude
-from defplan_tasks.fish import SWIM
+from defplan_mj.task import TaskSpec
+from defplan_tasks import fish as fish_domain
+from defplan_tasks import quadruped as quadruped_domain
 
 
 @functools.cache
 def fish() -> Body:
     """Return a coarse fish, made from the mesh file in a few seconds."""
-    return build_body(SWIM.mesh, dataclasses.replace(SWIM.body, vertices=250, patches=40))
+    return _coarse(fish_domain.SWIM, 250)
+
+
+@functools.cache
+def quadruped() -> Body:
+    """Return a coarse 4-legged body; on fewer vertices its legs would be lost."""
+    return _coarse(quadruped_domain.SWIM, 450)
+
+
+def _coarse(spec: TaskSpec, vertices: int) -> Body:
+    return build_body(spec.mesh, dataclasses.replace(spec.body, vertices=vertices, patches=40))
 
 
 @functools.cache
@@ -40,6 +52,21 @@ def gait() -> Gait:
     alpha[1, 4, 0], alpha[2, 4, 0] = 0.4, -0.4
     return Gait(
         fish().hash, ("forward", "left", "right"), 0.04, 11, alpha, beta, mu, fish().amplitude
+    )
+
+
+@functools.cache
+def quadruped_gait() -> Gait:
+    """Return five ways to beat the legs, by hand: one mode leads, another follows."""
+    body, spec = quadruped(), quadruped_domain.SWIM
+    names = tuple(task.name for task in spec.gait_tasks)
+    alpha, beta = np.zeros((2, len(names), 2, body.n_modes))
+    mu = np.tile(np.array([0.0, np.pi])[:, None], (1, body.n_modes))
+    for task in range(len(names)):
+        alpha[task, :, task], alpha[task, :, task + 1] = [0.8, -0.8], [-0.5, 0.5]
+    beta[:] = 0.8
+    return Gait(
+        body.hash, names, spec.timestep, spec.steps_per_cycle, alpha, beta, mu, body.amplitude
     )
 
 

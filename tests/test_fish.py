@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from defplan_mj import registry, suite
-from defplan_mj.errors import DefplanError
 from defplan_mj.task import TaskSpec
 from defplan_tasks import fish
 
@@ -94,12 +93,6 @@ def test_obstacles_of_navigate_can_be_chosen():
     scene = environment.task.scene
     assert len(scene.radii) == 4
     assert np.linalg.norm(scene.velocities, axis=1) == pytest.approx(0.5)
-
-
-def test_missing_packaged_file_is_one_sentence(monkeypatch, tmp_path):
-    monkeypatch.setattr(fish, "ASSETS", tmp_path)
-    with pytest.raises(DefplanError, match="fish_body.npz is missing: reinstall defplan, or"):
-        suite.load("fish", "swim")
 
 
 def test_skin_has_an_eye_a_dark_back_and_a_light_belly():

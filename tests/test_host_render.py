@@ -10,7 +10,7 @@ import pytest
 
 from defplan_mj.errors import DefplanError
 from defplan_mj.host import render
-from defplan_mj.host.render import render_states
+from defplan_mj.host.render import motes_around, render_states
 
 SIZE = (128, 96)
 
@@ -45,6 +45,51 @@ def test_cameras_see_fish_and_obstacles(states, camera):
     [frame] = render_states(samples.fish(), states[:1], scene, size=SIZE, camera=camera)
     blue = (frame[..., 2].astype(int) > frame[..., 0] + 80) & (frame[..., 2] > frame[..., 1] + 50)
     assert _orange(frame).any() and blue.sum() > 30
+
+
+def _blue(frame: np.ndarray) -> np.ndarray:
+    """Return where the picture shows an obstacle."""
+    red, green, blue = (frame[..., i].astype(int) for i in range(3))
+    return (blue > red + 60) & (blue > green + 35)
+
+
+@pytest.mark.usefixtures("rendering")
+@pytest.mark.parametrize("camera", ["map", "overview"])
+@pytest.mark.parametrize("target", [(15.0, 0.0, 0.0), (-4.0, 9.0, 8.0), (0.0, 0.0, 15.0)])
+def test_everything_is_in_the_picture_from_afar(states, camera, target):
+    """Obstacles at the ends of the way, and to its sides, are seen whole: none is cut by the edge."""
+    place = np.array(target)
+    balls = [(*(1.1 * place), 1.0), (*(-0.3 * place), 1.5), (3.0, 5.0, -6.0, 1.2)]
+    if camera == "map":  # what lies above one another hides: look at them one by one
+        balls = balls[:1]
+    for ball in balls:
+        scene = samples.spheres([ball], target=target)
+        [frame] = render_states(samples.fish(), states[:1], scene, size=SIZE, camera=camera)
+        blue = _blue(frame)
+        assert blue.sum() > 15
+        assert not (blue[[0, -1]].any() or blue[:, [0, -1]].any())
+
+
+def test_cameras_go_along_with_the_body_but_do_not_turn_with_it():
+    physics = samples.physics(space="spatial")
+    samples.place(physics)
+    places, axes = physics.data.cam_xpos.copy(), physics.data.cam_xmat.copy()
+    for quaternion in samples.attitudes(20):
+        samples.place(physics, (3.0, -2.0, 7.0), quaternion)
+        assert physics.data.cam_xpos - physics.com() == pytest.approx(places, abs=1e-6)
+        assert physics.data.cam_xmat == pytest.approx(axes, abs=1e-12)
+
+
+def test_motes_stay_where_they_are_and_are_all_around():
+    here, there = np.array([0.3, 0.2, -0.4]), np.array([1.9, -0.7, 0.6])
+    around_here, around_there = motes_around(here), motes_around(there)
+    near = [
+        {tuple(mote) for mote in motes if np.linalg.norm(mote - here) < 3.0}
+        for motes in (around_here, around_there)
+    ]
+    assert near[0] == near[1] and len(near[0]) > 30
+    assert np.abs((around_here - here).mean(0)).max() < 0.7  # half a cell of the grid
+    assert np.ptp(around_here, axis=0) == pytest.approx(13.0, abs=1.3)
 
 
 @pytest.mark.usefixtures("rendering")

@@ -15,11 +15,15 @@ from mujoco import rollout
 
 from defplan_mj import suite
 from defplan_mj.errors import DefplanError
+from defplan_tasks import swimming
 
 KWARGS = {
     ("fish", "swim"): lambda: {"body": samples.fish()},
     ("fish", "navigate"): lambda: {"body": samples.fish(), "gait": samples.gait()},
+    ("quadruped", "swim"): lambda: {"body": samples.quadruped()},
 }
+DOMAINS = {"fish": {"swim", "navigate"}, "quadruped": {"swim", "navigate3d"}}
+PACKAGED = [names for names in KWARGS if names[0] == "fish"]
 TASKS = [pytest.param(*names, id="-".join(names)) for names in KWARGS]
 OBJECTS = {
     "body": "nbody",
@@ -65,15 +69,23 @@ def _trajectory(environment, policy, episodes=3, steps=10):
 def test_all_tasks_are_listed():
     assert set(KWARGS) <= set(suite.ALL_TASKS)
     assert sum(len(tasks) for tasks in suite.TASKS_BY_DOMAIN.values()) == len(suite.ALL_TASKS)
-    assert ("fish", "swim") in suite.BENCHMARKING
-    assert set(suite.TASKS_BY_DOMAIN["fish"]) == {"swim", "navigate"}
+    for domain, tasks in DOMAINS.items():
+        assert set(suite.TASKS_BY_DOMAIN[domain]) == tasks
+        assert (domain, "swim") in suite.BENCHMARKING
 
 
-@pytest.mark.parametrize(("domain", "task"), TASKS)
+@pytest.mark.parametrize(("domain", "task"), PACKAGED)
 def test_packaged_body_and_gait_load(domain, task):
     environment = suite.load(domain, task, task_kwargs={"random": 0})
     for time_step in _trajectory(environment, _policy(environment.action_spec(), 0), 1, 3):
         assert all(np.isfinite(array).all() for array in time_step.observation.values())
+
+
+@pytest.mark.parametrize(("domain", "task"), TASKS)
+def test_missing_packaged_file_is_one_sentence(domain, task, monkeypatch, tmp_path):
+    monkeypatch.setattr(swimming, "ASSETS", tmp_path)
+    with pytest.raises(DefplanError, match=f"{domain}_body.npz is missing: reinstall defplan, or"):
+        suite.load(domain, task)
 
 
 @pytest.mark.parametrize(("domain", "task"), TASKS)
@@ -210,8 +222,9 @@ def test_copies_and_pickles_go_on_alike(domain, task):
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_rollout_of_the_swim_model_equals_env_step(threads):
-    environment = _load("fish", "swim", random=3)
+@pytest.mark.parametrize("domain", DOMAINS)
+def test_rollout_of_the_swim_model_equals_env_step(domain, threads):
+    environment = _load(domain, "swim", random=3)
     environment.reset()
     model, full = environment.physics.model.ptr, mujoco.mjtState.mjSTATE_FULLPHYSICS
     start = environment.physics.get_state(full)

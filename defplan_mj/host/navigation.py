@@ -13,6 +13,7 @@ from dm_env import specs
 from defplan_mj.body.model import Body
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
+from defplan_mj.host.obstacles import SHAPE_OF, space_of
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.host.skin import texture_of
@@ -20,7 +21,6 @@ from defplan_mj.planning.scenes import Scene
 from defplan_mj.task import Navigation
 
 COLLISION_PENALTY = 1000.0  # Eq. 2
-_SHAPE_OF = {"planar": "cylinder", "spatial": "sphere"}
 
 SceneSampler = Callable[[np.random.RandomState], Scene]
 StepHook = Callable[[Physics, np.ndarray], None]
@@ -147,7 +147,7 @@ class Navigate(base.Task):
         """Return `centre` minus the target; level in the plane."""
         scene = self._here()
         offset = centre - scene.target
-        if scene.shape == _SHAPE_OF["planar"]:
+        if space_of(scene) == "planar":
             offset[2] = 0.0
         return offset
 
@@ -216,11 +216,11 @@ def _tilt(physics: Physics) -> np.ndarray:
 
 
 def _check_space(space: str, scene: Scene) -> None:
-    if scene.shape != _SHAPE_OF[space]:
-        other = next(name for name, shape in _SHAPE_OF.items() if shape != _SHAPE_OF[space])
+    other = space_of(scene)
+    if other != space:
         raise DefplanError(
             f"a {space} task cannot use a scene of {scene.shape}s: hand in a scene of"
-            f" {_SHAPE_OF[space]}s, or set navigation.space to {other!r}"
+            f" {SHAPE_OF[space]}s, or set navigation.space to {other!r}"
         )
 
 

@@ -18,7 +18,22 @@ from defplan_mj.host.scene import (
 from defplan_mj.planning.scenes import Scene
 
 RGBA = (0.24, 0.42, 0.80, 1.0)
-_SHAPES = {"cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER, "sphere": mujoco.mjtGeom.mjGEOM_SPHERE}
+SHAPE_OF = {"planar": "cylinder", "spatial": "sphere"}
+"""What the obstacles of a space are."""
+
+
+def space_of(scene: Scene) -> str:
+    """Return the space, 'planar' or 'spatial', that the obstacles of `scene` are made for.
+
+    Raises:
+        DefplanError: obstacles of an unknown shape.
+    """
+    for space, shape in SHAPE_OF.items():
+        if scene.shape == shape:
+            return space
+    raise DefplanError(
+        f"unknown obstacle shape {scene.shape}: there are {', '.join(SHAPE_OF.values())}"
+    )
 
 
 def max_obstacles(model: Any) -> int:
@@ -47,14 +62,11 @@ def set_scene(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
             f"the scene has {len(scene.radii)} obstacles, this model has room for {room}:"
             " take fewer, or build it with a larger max_obstacles"
         )
-    if scene.shape not in _SHAPES:
-        raise DefplanError(
-            f"unknown obstacle shape {scene.shape}: there are {', '.join(sorted(_SHAPES))}"
-        )
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, TARGET)
     model.site_pos[site] = scene.target
     model.site_size[site] = scene.goal_radius
-    shape = _SHAPES[scene.shape]
+    planar = space_of(scene) == "planar"
+    shape = mujoco.mjtGeom.mjGEOM_CYLINDER if planar else mujoco.mjtGeom.mjGEOM_SPHERE
     for index in range(room):
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"obstacle_{index}")
         used = index < len(scene.radii)
@@ -70,7 +82,7 @@ def set_scene(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
         for geom, height in ((solid, SOLID_HALF_HEIGHT), (solid + 1, drawn_height)):
             _set_geom(model, geom, shape, radius, height)
             model.geom_rgba[geom] = RGBA if used else 0  # rays do not see alpha 0
-        model.geom_pos[solid + 1] = [0.0, 0.0, DRAWN_HEIGHT if scene.shape == "cylinder" else 0.0]
+        model.geom_pos[solid + 1] = [0.0, 0.0, DRAWN_HEIGHT if planar else 0.0]
         # the body's tree of bounding boxes holds its only solid geom
         model.bvh_aabb[model.body_bvhadr[body]] = model.geom_aabb[solid]
 

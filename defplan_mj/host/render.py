@@ -16,7 +16,7 @@ from defplan_mj import files
 from defplan_mj.body.model import Body
 from defplan_mj.errors import DefplanError
 from defplan_mj.host import skin
-from defplan_mj.host.obstacles import set_scene
+from defplan_mj.host.obstacles import set_scene, space_of
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.planning.scenes import Scene
 
@@ -25,6 +25,12 @@ OVERVIEW = "overview"  # sees the whole way from behind and above
 TRAIL_RGBA = np.array([0.95, 0.98, 1.0, 1.0], np.float32)
 _TRAIL_RADIUS = {MAP: 0.06, OVERVIEW: 0.03}  # m
 _BACKENDS = ("egl", "osmesa", "glfw")
+_OVERVIEW = {
+    "planar": (20.0, -52.0),
+    "spatial": (60.0, -22.0),
+}  # degrees right of the way, and down
+_MOTE_RGBA = np.array([0.85, 0.95, 0.95, 0.55], np.float32)
+_MOTE_CELL, _MOTE_SIZE, _MOTE_REACH = 1.25, 0.006, 5  # m; m; cells to each side
 
 
 class Offscreen:
@@ -59,11 +65,13 @@ class Offscreen:
         camera: mujoco.MjvCamera,
         trail: np.ndarray | None = None,
         trail_radius: float = 0.012,
+        motes: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the (height, width, 3) uint8 picture of `data`.
 
         Args:
             trail: (n, 3) points to join by a line, m; of radius `trail_radius`, m.
+            motes: (n, 3) places of specks floating in the water, m; see `motes_around`.
         """
         perturb, everything = mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(
@@ -71,6 +79,8 @@ class Offscreen:
         )
         if trail is not None:
             self._add_trail(trail, trail_radius)
+        if motes is not None:
+            self._add_motes(motes)
         pixels = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
         mujoco.mjr_render(self._rect, self.scene, self._mjr)
         mujoco.mjr_readPixels(pixels, None, self._rect, self._mjr)
@@ -85,6 +95,27 @@ class Offscreen:
             mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.zeros(9), TRAIL_RGBA)
             mujoco.mjv_connector(geom, capsule, radius, start, end)
             self.scene.ngeom += 1
+
+    def _add_motes(self, places: np.ndarray) -> None:
+        size, upright = np.full(3, _MOTE_SIZE), np.eye(3).ravel()
+        for place in places[: self.scene.maxgeom - self.scene.ngeom]:
+            geom = self.scene.geoms[self.scene.ngeom]
+            mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_BOX, size, place, upright, _MOTE_RGBA)
+            geom.transparent = 1
+            self.scene.ngeom += 1
+
+
+def motes_around(centre: np.ndarray) -> np.ndarray:
+    """Return the places (n, 3) of specks in the water around a point, m: one in every cell of a grid.
+
+    A mote stays where it is, whatever point is asked for, so that motion shows in open water.
+    """
+    reach = np.arange(-_MOTE_REACH, _MOTE_REACH + 1)
+    grid = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), -1).reshape(-1, 3)
+    cells = grid + np.round(centre / _MOTE_CELL).astype(int)
+    # a place within the cell that looks random but is the cell's own
+    number = cells @ np.array([[73, 179, 283], [419, 29, 211], [157, 347, 61]])
+    return _MOTE_CELL * (cells + number * (number + 11) % 997 / 997 - 0.5)
 
 
 def render_states(
@@ -107,8 +138,8 @@ def render_states(
             the way to it; None returns the frames.
         size: width, height in pixels.
         fps: frames a second of simulated time.
-        camera: 'chase', 'side', 'top' follow the body; 'map' sees the whole way from straight above,
-            to scale; 'overview' from behind and above.
+        camera: 'chase', 'side', 'top' follow the body, without turning with it; 'map' sees the whole
+            way from straight above, to scale; 'overview' from behind and above.
         timestep: s.
         trail: draw the way of the centre of mass.
 
@@ -141,7 +172,9 @@ def _frames(
     trail: bool,
 ) -> Iterator[np.ndarray]:
     room = 0 if scene is None else len(scene.radii)
-    spec = build_spec(body, timestep, max_obstacles=room, texture=skin.texture_of(body))
+    space = "planar" if scene is None else space_of(scene)
+    texture = skin.texture_of(body)
+    spec = build_spec(body, timestep, max_obstacles=room, space=space, texture=texture)
     model = compile_model(spec)
     data = mujoco.MjData(model)
     if scene is None:
@@ -160,7 +193,10 @@ def _frames(
             mujoco.mj_comPos(model, data)
             mujoco.mj_camlight(model, data)
             way = states[: index + 1, :3] if trail else None
-            yield offscreen.picture(data, view, way, _TRAIL_RADIUS.get(camera, 0.012))
+            motes = None
+            if space == "spatial" and camera not in (MAP, OVERVIEW):
+                motes = motes_around(states[index, :3])
+            yield offscreen.picture(data, view, way, _TRAIL_RADIUS.get(camera, 0.012), motes)
 
 
 def _camera(
@@ -176,28 +212,53 @@ def _camera(
         camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         camera.fixedcamid = identity
         return camera
-    # the way from start to target lies from left to right
-    bearing = 0.0
+    offset = np.zeros(3) if scene is None else scene.target - way[0]
+    bearing = float(np.degrees(np.arctan2(offset[1], offset[0])))
+    points, margins = [way], [np.full(len(way), 1.0)]
     if scene is not None:
-        bearing = float(np.arctan2(scene.target[1] - way[0, 1], scene.target[0] - way[0, 0]))
-    right = np.array([np.cos(bearing), np.sin(bearing)])
-    axes = np.stack([right, [-right[1], right[0]]])
-    points, margins = [way[:, :2] @ axes.T], [np.full(len(way), 1.0)]
-    if scene is not None:
-        points += [scene.target[None, :2] @ axes.T, scene.centres[:, :2] @ axes.T]
+        points += [scene.target[None], scene.centres]
         margins += [np.array([scene.goal_radius + 0.5]), scene.radii + 0.5]
-    spread, margin = np.concatenate(points), np.concatenate(margins)[:, None]
-    low, high = (spread - margin).min(0), (spread + margin).max(0)
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.lookat = [*(0.5 * (low + high) @ axes), 0.0]
     if name == OVERVIEW:
-        camera.azimuth, camera.elevation = np.degrees(bearing) + 20, -52.0
-        camera.distance = 1.1 * float(high[0] - low[0])
-        return camera
-    camera.azimuth, camera.elevation, camera.distance = 90 + np.degrees(bearing), -90.0, 30.0
-    camera.orthographic = model.vis.global_.orthographic = 1
-    model.vis.global_.fovy = float(max(high[1] - low[1], (high[0] - low[0]) * height_to_width))
+        aside, down = _OVERVIEW["planar" if scene is None else space_of(scene)]
+        camera.azimuth, camera.elevation = bearing + aside, down
+    else:  # the way from start to target lies from left to right
+        camera.azimuth, camera.elevation = 90 + bearing, -90.0
+        camera.orthographic = model.vis.global_.orthographic = 1
+    _fit(camera, model, np.concatenate(points), np.concatenate(margins), height_to_width)
     return camera
+
+
+def _fit(
+    camera: mujoco.MjvCamera,
+    model: mujoco.MjModel,
+    points: np.ndarray,
+    margins: np.ndarray,
+    height_to_width: float,
+) -> None:
+    """Aim a free camera, whose angles are set, so that all balls (points, margins) are in the picture."""
+    azimuth, elevation = np.radians([camera.azimuth, camera.elevation])
+    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    ahead = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    axes = np.stack([right, np.cross(right, ahead), ahead])
+    seen, margin = points @ axes.T, margins[:, None]
+    middle = 0.5 * ((seen - margin).min(0) + (seen + margin).max(0))
+    camera.lookat = middle @ axes
+    across, up, along = (seen - middle).T
+    if camera.orthographic:
+        height = np.maximum(np.abs(up) + margins, (np.abs(across) + margins) * height_to_width)
+        model.vis.global_.fovy = 2 * float(height.max())
+        camera.distance = 30.0 + float(np.ptp(along))
+        return
+    slope = np.tan(np.radians(model.vis.global_.fovy) / 2)
+    reach = np.maximum(np.abs(up) + margins, (np.abs(across) + margins) * height_to_width) / slope
+    camera.distance = float((reach - along).max())
 
 
 def _write(frames: Iterator[np.ndarray], path: Path, fps: float, still: bool) -> None:

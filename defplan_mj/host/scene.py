@@ -61,7 +61,9 @@ def build_spec(
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.nuser_body = 3  # velocity of a mocap obstacle
     _add_looks(spec)
-    _add_robot(spec, body, timestep, normalised_controls)
+    if space == "planar":  # in space it is open water all around
+        _add_sea_bed(spec)
+    _add_robot(spec, body, timestep, normalised_controls, space)
     skin.add_skin(spec, body, ROBOT, "self", texture)
     spec.add_numeric(name="laser", data=[float(beams), laser_range, float(SPACES[space])])
     # a site away from its body's origin: one compiled at the origin could not be moved
@@ -85,7 +87,9 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
         raise DefplanError(f"MuJoCo cannot build the model {spec.modelname}: {error}") from error
 
 
-def _add_robot(spec: mujoco.MjSpec, body: Body, timestep: float, normalised: bool) -> None:
+def _add_robot(
+    spec: mujoco.MjSpec, body: Body, timestep: float, normalised: bool, space: str
+) -> None:
     """Add the free joint, the modal slide joints, their actuators, the plugin and its data."""
     amplitude = np.asarray(body.amplitude, float)
     spec.add_numeric(name="defplan_body", data=pack_body(body))
@@ -139,14 +143,17 @@ def _add_robot(spec: mujoco.MjSpec, body: Body, timestep: float, normalised: boo
 
     length = body.length
     track = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
+    # Cameras go along with the robot but do not turn with it, so that it may turn over. From above
+    # the plane's obstacles are tall, so that one looks from afar; balls would be in the way there.
+    above = ([0, 0, 14], 16) if space == "planar" else ([0, 0, 2.6], 45)
     views = {
         "chase": ([-1.25, -1.75, 1.0], [0.814, -0.581, 0, 0.246, 0.345, 0.906], 45),
         "side": ([0, -1.9, 0.35], [1, 0, 0, 0, 0.18, 0.98], 45),
-        "top": ([0, 0, 14], [1, 0, 0, 0, 1, 0], 16),  # from afar: obstacles are tall
+        "top": (above[0], [1, 0, 0, 0, 1, 0], above[1]),
     }
     for name, (place, axes, angle) in views.items():
-        place = length * np.array(place)
-        robot.add_camera(name=name, mode=track, pos=place, xyaxes=axes, fovy=angle)
+        pos = length * np.array(place)
+        robot.add_camera(name=name, mode=track, pos=pos, xyaxes=axes, fovy=angle)
     # above the robot wherever it goes, so that the shadow map need not cover the whole world
     robot.add_light(
         name="sun",
@@ -156,7 +163,7 @@ def _add_robot(spec: mujoco.MjSpec, body: Body, timestep: float, normalised: boo
         dir=[0.18, 0.12, -0.975],
         diffuse=[0.75, 0.75, 0.7],
         specular=[0.25, 0.25, 0.25],
-        castshadow=True,
+        castshadow=space == "planar",
     )
 
 
@@ -181,7 +188,7 @@ def _add_obstacle(spec: mujoco.MjSpec, index: int) -> None:
 
 
 def _add_looks(spec: mujoco.MjSpec) -> None:
-    """Add light, sky, sea bed and the materials that dm_control's reward colours want."""
+    """Add light, water and the materials that dm_control's reward colours want."""
     spec.stat.extent = 3
     spec.stat.center = [0, 0, 0]
     visual = spec.visual
@@ -206,6 +213,20 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
         width=256,
         height=256,
     )
+    colours = {
+        "self": ([1, 1, 1, 1], [0.7, 1, 0.7, 1]),
+        "effector": ([0.7, 0.4, 0.2, 1], [0, 0.5, 0.3, 1]),
+        "target": ([0.25, 0.85, 0.35, 0.35], [0.45, 1, 0.45, 0.6]),
+    }
+    for name, (plain, highlight) in colours.items():
+        if name != "self":  # the skin makes that one, with its picture
+            spec.add_material(name=name, rgba=plain)
+        spec.add_material(name=f"{name}_default", rgba=plain)
+        spec.add_material(name=f"{name}_highlight", rgba=highlight)
+
+
+def _add_sea_bed(spec: mujoco.MjSpec) -> None:
+    """Add a chequered floor, which is a picture only."""
     spec.add_texture(
         name="grid",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -222,16 +243,6 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     spec.add_material(
         name="grid", textures=textures, texrepeat=[0.5, 0.5], texuniform=True, reflectance=0.0
     )
-    colours = {
-        "self": ([1, 1, 1, 1], [0.7, 1, 0.7, 1]),
-        "effector": ([0.7, 0.4, 0.2, 1], [0, 0.5, 0.3, 1]),
-        "target": ([0.25, 0.85, 0.35, 0.35], [0.45, 1, 0.45, 0.6]),
-    }
-    for name, (plain, highlight) in colours.items():
-        if name != "self":  # the skin makes that one, with its picture
-            spec.add_material(name=name, rgba=plain)
-        spec.add_material(name=f"{name}_default", rgba=plain)
-        spec.add_material(name=f"{name}_highlight", rgba=highlight)
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,

@@ -1,0 +1,93 @@
+"""The 4-legged body (paper, last examples): the task `quadruped-swim` and the suite domain `quadruped`."""
+
+from __future__ import annotations
+
+import numpy as np
+from dm_control.utils import containers
+
+from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec
+from defplan_tasks import swimming
+from defplan_tasks.painting import blend, rise, to_picture
+
+TURN, ADVANCE = 0.5, 0.5  # wanted of a cycle: rad, m
+
+SWIM = TaskSpec(
+    name="quadruped-swim",
+    description="a 4-legged body swims like a jellyfish to targets among spheres, in three dimensions",
+    mesh=swimming.ASSETS / "quadruped.obj",
+    body=BodyOptions(vertices=1054, modes=10, basis=31, samples=16, amplitude=1.5, length=1.0),
+    timestep=0.04,
+    steps_per_cycle=9,
+    # The body's own axis is +z: bell first, legs behind. A turn tilts it to one of the four sides.
+    gait_tasks=(
+        GaitTask("front", turn=(0.0, TURN, 0.0), move=(0.0, 0.0, 0.0)),
+        GaitTask("back", turn=(0.0, -TURN, 0.0), move=(0.0, 0.0, 0.0)),
+        GaitTask("left", turn=(-TURN, 0.0, 0.0), move=(0.0, 0.0, 0.0)),
+        GaitTask("right", turn=(TURN, 0.0, 0.0), move=(0.0, 0.0, 0.0)),
+        GaitTask("forward", move=(0.0, 0.0, ADVANCE)),
+    ),
+    gait_steps=200,
+    axis=(0.0, 0.0, 1.0),
+    navigation=Navigation(k2=30, beams=128, space="spatial"),
+    # Tables I to III; hours are the paper's own.
+    paper={
+        "vertices": 1054,
+        "dof": 16,
+        "full_step_s": 5.2,
+        "reduced_step_s": 0.17,
+        "gait_h": 5.2,
+        "dql_h": 11.0,
+        "cnn_h": 9.12,
+        "k2": 30,
+        "k2_success": 1.0,
+        "tasks": ("front", "back", "left", "right", "forward"),
+        "rotation_mean": (0.184, 0.206, 0.229, 0.211, 0.971),
+        "rotation_sd": (0.129, 0.121, 0.118, 0.122, 0.274),
+        "translation_mean": (0.09, 0.087, 0.089, 0.089, 0.426),
+        "translation_sd": (0.076, 0.073, 0.05, 0.066, 0.055),
+    },
+)
+
+SUITE = containers.TaggedTasks()
+
+
+@SUITE.add("benchmarking")
+def swim(body=None, **kwargs):
+    """Return the swim task: the action is the target shape, the attitude at the start is any.
+
+    Args:
+        body: by default the packaged one.
+        kwargs: of `swimming.swim_environment`.
+    """
+    body = body or swimming.packaged_body("quadruped_body")
+    return swimming.swim_environment(SWIM, body, **kwargs)
+
+
+@SUITE.add("no_reward_visualization")
+def navigate3d(body=None, gait=None, **kwargs):
+    """Return the navigation task among spheres: the action is the gait, one step is one cycle.
+
+    Args:
+        body, gait: by default the packaged ones.
+        kwargs: of `swimming.navigate_environment`.
+    """
+    body = body or swimming.packaged_body("quadruped_body")
+    gait = gait or swimming.packaged_gait("quadruped_gait")
+    return swimming.navigate_environment(SWIM, body, gait, **kwargs)
+
+
+def skin_texture(height: int = 384, width: int = 384) -> np.ndarray:
+    """Return the body's picture, (height, width, 3) uint8: coral above, legs dark towards pale feet.
+
+    It is projected along y, so that it depends on the height mostly, which all sides share.
+    """
+    across, up = np.meshgrid(np.linspace(-1, 1, width), np.linspace(1, 0, height))
+    crown, bell, leg, foot = np.array(
+        [[0.96, 0.70, 0.36], [0.90, 0.37, 0.26], [0.50, 0.14, 0.28], [0.98, 0.88, 0.66]]
+    )
+    colour = blend(leg, bell, rise(up, 0.35, 0.75))
+    colour = blend(colour, crown, rise(up, 0.86, 0.97))
+    for place in (0.22, 0.36, 0.50):  # rings around the legs
+        ring = np.exp(-(((up - place - 0.012 * np.cos(14 * across)) / 0.018) ** 2))
+        colour = blend(colour, bell, (0.8 * ring)[..., None])
+    return to_picture(blend(colour, foot, rise(-up, -0.13, -0.06)))

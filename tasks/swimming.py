@@ -1,0 +1,178 @@
+"""What the suite domains of all swimmers share: the swim task, navigation, packaged bodies and gaits."""
+
+from __future__ import annotations
+
+import collections
+from pathlib import Path
+
+import numpy as np
+from dm_control.rl import control
+from dm_control.suite import base
+from dm_control.utils import rewards
+
+from defplan_mj.body.model import Body
+from defplan_mj.errors import DefplanError
+from defplan_mj.gait.gait import Gait
+from defplan_mj.host.navigation import navigation_environment
+from defplan_mj.host.physics import Physics
+from defplan_mj.host.scene import TARGET, build_spec, compile_model
+from defplan_mj.host.skin import texture_of
+from defplan_mj.planning.scenes import Scene, novel_scenes
+from defplan_mj.task import Navigation, TaskSpec
+
+ASSETS = Path(__file__).parent / "assets"
+
+_TARGET_DISTANCE = (3.0, 8.0)  # m
+_TARGET_RADIUS = 0.5  # m
+_SPEED = 1.0  # body lengths a second that earn the full reward
+_TILT, _BEND = 0.1, 0.2  # spread of the start: rad, in the plane; share of the amplitude
+
+
+def swim_environment(
+    spec: TaskSpec,
+    body: Body,
+    time_limit: float = 40.0,
+    random: np.random.RandomState | int | None = None,
+    environment_kwargs: dict | None = None,
+) -> control.Environment:
+    """Return the task `Swim`: the action is the target shape, in [-1, 1] of the body's amplitude."""
+    model = build_spec(body, spec.timestep, space=spec.navigation.space, texture=texture_of(body))
+    return control.Environment(
+        Physics.from_mjmodel(compile_model(model)),
+        Swim(random=random),
+        control_timestep=spec.timestep,
+        time_limit=time_limit,
+        **(environment_kwargs or {}),
+    )
+
+
+def navigate_environment(
+    spec: TaskSpec,
+    body: Body,
+    gait: Gait,
+    time_limit: float = float("inf"),
+    random: np.random.RandomState | int | None = None,
+    environment_kwargs: dict | None = None,
+    scene: Scene | None = None,
+    navigation: Navigation | None = None,
+    obstacles: int | None = None,
+    obstacle_speed: float = 0.0,
+) -> control.Environment:
+    """Return the navigation task: the action is the gait, one step is one gait cycle, Eq. 2's reward.
+
+    Args:
+        body, gait: what swims, and how.
+        time_limit: s.
+        scene: keep to this one; by default every episode draws a novel one.
+        navigation: by default that of `spec`.
+        obstacles: on the way to a drawn target; by default navigation.novel_obstacles.
+        obstacle_speed: of drawn obstacles, m/s.
+    """
+    there = navigation or spec.navigation
+
+    def sampler(generator: np.random.RandomState) -> Scene:
+        seed = int(generator.randint(2**31))
+        return novel_scenes(there, 1, seed, obstacles, obstacle_speed)[0]
+
+    return navigation_environment(
+        body,
+        gait,
+        there,
+        sampler,
+        scene=scene,
+        time_limit=time_limit,
+        random=random,
+        environment_kwargs=environment_kwargs,
+    )
+
+
+def packaged_body(name: str) -> Body:
+    """Return the body that is packaged as assets/NAME.npz."""
+    return Body.load(_packaged(name))
+
+
+def packaged_gait(name: str) -> Gait:
+    """Return the gait that is packaged as assets/NAME.npz."""
+    return Gait.load(_packaged(name))
+
+
+class Swim(base.Task):
+    """Swim to a target at one body length a second: in the plane upright, in space anyhow."""
+
+    def initialize_episode(self, physics: Physics) -> None:
+        """Draw target, attitude and a slightly bent shape.
+
+        In the plane the target lies on the horizon and the body is nearly level; in space both
+        the target's direction and the attitude are random.
+        """
+        planar = physics.space == "planar"
+        direction, distance = self._direction(planar), self.random.uniform(*_TARGET_DISTANCE)
+        physics.named.model.site_pos[TARGET] = distance * direction
+        physics.named.model.site_size[TARGET] = _TARGET_RADIUS
+        physics.data.qpos[3:7] = self._attitude(planar)
+        r = physics.n_modes
+        physics.data.qpos[7 : 7 + r] = _BEND * self.random.uniform(-1, 1, size=r)
+        super().initialize_episode(physics)
+
+    def _direction(self, planar: bool) -> np.ndarray:
+        if planar:
+            angle = self.random.uniform(-np.pi, np.pi)
+            return np.array([np.cos(angle), np.sin(angle), 0.0])
+        return _unit(self.random.normal(size=3))
+
+    def _attitude(self, planar: bool) -> np.ndarray:
+        """Return a unit quaternion w x y z: a heading and a slight tilt, or any attitude alike."""
+        if planar:
+            yaw, tilt = self.random.uniform(-np.pi, np.pi), self.random.uniform(-1, 1, size=2)
+            return _unit(np.array([np.cos(yaw / 2), *(0.5 * _TILT * tilt), np.sin(yaw / 2)]))
+        return _unit(self.random.normal(size=4))
+
+    def get_observation(self, physics: Physics) -> collections.OrderedDict:
+        """Return shape, uprightness (in the plane), target and velocities, all in the body's frame."""
+        frame = physics.orientation()
+        observation = collections.OrderedDict()
+        observation["shape"] = physics.shape()
+        if physics.space == "planar":
+            observation["upright"] = np.array([physics.upright()])
+        observation["target"] = _to_target(physics) @ frame
+        observation["velocity"] = np.concatenate(
+            [physics.data.qvel[:3] @ frame, physics.data.qvel[3:6], physics.shape_velocity()]
+        )
+        return observation
+
+    def get_reward(self, physics: Physics) -> float:
+        """Return in [0, 1]: speed towards the target (or being there), in the plane times uprightness."""
+        to_target = _to_target(physics)
+        distance = np.linalg.norm(to_target)
+        if distance <= _TARGET_RADIUS:
+            swimming = 1.0
+        else:
+            speed = physics.data.qvel[:3] @ to_target / distance
+            swimming = rewards.tolerance(
+                speed,
+                bounds=(_SPEED, float("inf")),
+                margin=_SPEED,
+                value_at_margin=0,
+                sigmoid="linear",
+            )
+        if physics.space == "planar":
+            swimming *= (1 + physics.upright()) / 2
+        return float(swimming)
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)
+
+
+def _to_target(physics: Physics) -> np.ndarray:
+    return physics.target() - physics.com()
+
+
+def _packaged(name: str) -> Path:
+    path = ASSETS / f"{name}.npz"
+    if not path.is_file():
+        raise DefplanError(
+            f"the packaged file {path} is missing: reinstall defplan,"
+            " or hand in your own with task_kwargs={'body': ..., 'gait': ...}"
+        )
+    return path
