@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from defplan_mj.rivals import compare_solvers
 from defplan_mj.run import GAIT_FILE, STAGES, Run
 
 
@@ -12,9 +13,10 @@ def run_results(run: Run) -> dict[str, Any]:
     """Do everything that is not done yet; return what `defplan run --json` prints."""
     _ = run.gait_solver, run.planner_solver  # a wrong name is told before the work, not after
     gait = gait_results(run)
-    run.compare_solvers()
+    compare_solvers(run)
     surrogate = surrogate_results(run)
-    evaluation, report = run.evaluation(), run.report()
+    evaluation, moving = run.evaluation(), run.moving()
+    report = run.report()
     seconds = {name: run.seconds(name) for name in STAGES}
     logs = sorted(str(run.folder.file(n)) for n in run.hashes if n.endswith(".mcap"))
     return {
@@ -28,6 +30,7 @@ def run_results(run: Run) -> dict[str, Any]:
             | {"without_shield": without_rows(both["without_shield"])}
             for scenes, both in evaluation.items()
         },
+        "moving": moving,
         "files": {
             "log": logs[0] if logs else None,
             "report": str(report),

@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from defplan_mj import files, registry, threads
-from defplan_mj.errors import DefplanError
+from defplan_mj.rivals import SWITCHING_CYCLES
 from defplan_mj.store import RunFolder, file_hash, read_config
 from defplan_mj.task import Progress, TaskSpec, no_progress
 from defplan_mj.trial import Recorders, evaluate
@@ -30,19 +29,20 @@ if TYPE_CHECKING:
     from defplan_mj.planning.surrogate import Surrogate
 
 STAGES = ("body", "gait", "surrogate", "planner", "evaluation")
-SWITCHING_CYCLES = 200
-GAIT_FILE, SOLVERS_FILE = "gait.json", "gait_solvers.json"
-EVALUATION_FILE, REPORT_FILE = "evaluation.json", "report.html"
+GAIT_FILE, EVALUATION_FILE, MOVING_FILE = "gait.json", "evaluation.json", "moving.json"
+REPORT_FILE = "report.html"
+SPEEDS = (0.25, 0.5, 1.0, 2.0)
+"""Of moving obstacles, m/s."""
 TRAINING_VERSION = 1
-RIVAL = "alternating"  # the paper's scheme
-_OTHER_SEQUENCES = 20180521  # seed: no run of a solver has it
 CONFIGURATION = (
     "gait_solver",
     "planner",
-    "rival",
+    "rivals",
+    "solver_seeds",
     "pairs",
     "episodes",
     "logged",
+    "moving",
 )  # kept in run.json
 
 
@@ -53,20 +53,24 @@ class RunOptions:
     Attributes:
         seed: of everything random.
         gait_solver, planner: plugins by name (None: the task's).
-        rival: gait solver that the report compares with ('none': no other; None: `RIVAL`).
+        rivals: gait solvers that the report compares with (none: ('none',); None: the task's).
+        solver_seeds: with how many seeds they are compared.
         pairs: (before, after) pairs a gait that the surrogate is fitted to.
         episodes: novel scenes of the evaluation.
         logged: how many of the novel episodes are logged, beside those of K2.
+        moving: K2 episodes among moving obstacles, at each of `SPEEDS` (0: none).
         remake: the stage that is made anew even if it could be reused.
     """
 
     seed: int = 0
     gait_solver: str | None = None
     planner: str | None = None
-    rival: str | None = None
+    rivals: Sequence[str] | None = None
+    solver_seeds: int = 1
     pairs: int = 1000
     episodes: int = 200
     logged: int = 4
+    moving: int = 40
     remake: str | None = None
 
 
@@ -120,7 +124,7 @@ class Run:
             return [path]
 
         mesh = file_hash(self.spec.mesh) if self.spec.mesh.is_file() else "missing"
-        self._make("body", {"mesh": mesh, "options": dataclasses.asdict(self.spec.body)}, make)
+        self.make("body", {"mesh": mesh, "options": dataclasses.asdict(self.spec.body)}, make)
         return Body.load(path)
 
     @cached_property
@@ -136,21 +140,26 @@ class Run:
         from defplan_mj.gait.gait import Gait
         from defplan_mj.gait.switching import evaluate_switching
 
-        solver, spec = self.gait_solver, self.spec
+        solver = self.gait_solver
         path, switching = self.folder.file("gait.npz"), self.folder.file(GAIT_FILE)
 
         def make() -> Iterable[Path]:
-            gait = self._solve(solver, "gait")
+            gait = self.solve(solver, "gait", self.options.seed)
             gait.save(path)
             measured = evaluate_switching(self.problem, gait, SWITCHING_CYCLES, self.options.seed)
             write_json(switching, {"gait": measured.to_json()})
             return [path, switching]
 
-        _ = self.body
-        inputs = {
+        self.make("gait", self.gait_inputs(solver, self.options.seed), make)
+        return Gait.load(path)
+
+    def gait_inputs(self, solver: Any, seed: int) -> dict[str, Any]:
+        """Return all that gaits depend on."""
+        _, spec = self.body, self.spec
+        return {
             "body": self.hashes["body.npz"],
             "solver": solver.name,
-            "seed": self.options.seed,
+            "seed": seed,
             "tasks": [dataclasses.asdict(task) for task in spec.gait_tasks],
             "timestep": spec.timestep,
             "steps_per_cycle": spec.steps_per_cycle,
@@ -160,47 +169,6 @@ class Run:
             "axis": spec.axis,
             "switching": SWITCHING_CYCLES,
         }
-        self._make("gait", inputs, make)
-        return Gait.load(path)
-
-    def compare_solvers(self) -> None:
-        """Let the rival gait solver solve the same problem, and measure both alike, for the report."""
-        rival = self._rival()
-        if rival is None:
-            return
-        path, other = self.folder.file(SOLVERS_FILE), self.folder.file(f"gait-{rival.name}.npz")
-        mine = self.gait
-
-        def make() -> Iterable[Path]:
-            rows = [compare(self.problem, self.gait_solver.name, mine, self.seconds("gait"))]
-            made = [path]
-            start = time.perf_counter()
-            try:
-                theirs = self._solve(rival, f"gait by {rival.name}")
-            except DefplanError as error:  # the run does not depend on it
-                rows.append({"name": rival.name, "error": str(error)})
-            else:
-                seconds = time.perf_counter() - start
-                theirs.save(other)
-                made.append(other)
-                rows.append(compare(self.problem, rival.name, theirs, seconds))
-            write_json(path, {"solvers": rows})
-            return made
-
-        inputs = {"gait": self.hashes["gait.npz"], "rival": rival.name, "seed": self.options.seed}
-        self._make("gait_solvers", inputs, make)
-
-    def _rival(self) -> Any:
-        """Return the gait solver to compare with; None if there is to be none."""
-        name = self.options.rival or RIVAL
-        if name in ("none", self.gait_solver.name):
-            return None
-        try:
-            return registry.get_solver(name, "gait")
-        except DefplanError:
-            if self.options.rival:
-                raise
-            return None  # nobody asked for it by name
 
     @cached_property
     def surrogate(self) -> Surrogate:
@@ -222,7 +190,7 @@ class Run:
             "pairs": self.options.pairs,
             "seed": self.options.seed,
         }
-        self._make("surrogate", inputs, make)
+        self.make("surrogate", inputs, make)
         return Surrogate.load(path)
 
     @cached_property
@@ -250,7 +218,7 @@ class Run:
             "navigation": dataclasses.asdict(navigation),
             "seed": self.options.seed,
         }
-        self._make("planner", inputs, make)
+        self.make("planner", inputs, make)
         return solver.load(self.policy, surrogate, navigation)
 
     # ---- the rest
@@ -284,17 +252,34 @@ class Run:
             return [path, *logs]
 
         _ = self.planner
-        inputs = {
-            "surrogate": self.hashes["surrogate.npz"],
-            "policy": self.hashes[self.policy.name],
-            "planner": self.planner_solver.name,
-            "navigation": dataclasses.asdict(self.spec.navigation),
-            "episodes": self.options.episodes,
-            "logged": self.options.logged,
-            "seed": self.options.seed,
-        }
-        self._make("evaluation", inputs, make)
+        wanted = {"episodes": self.options.episodes, "logged": self.options.logged}
+        self.make("evaluation", {**self._evaluated(), **wanted}, make)
         return json.loads(path.read_text(encoding="utf-8"))
+
+    def moving(self) -> list[dict[str, Any]]:
+        """Evaluate the planner, in the shield, on K2 scenes whose obstacles move (the paper's Fig. 6).
+
+        Returns:
+            an evaluation without its episodes for each of `SPEEDS`, with its 'speed' (m/s).
+        """
+        if not self.options.moving:
+            return []
+        path = self.folder.file(MOVING_FILE)
+
+        def make() -> Iterable[Path]:
+            rows = []
+            for speed in SPEEDS:
+                result = evaluate(
+                    self, "k2", True, episodes=self.options.moving, obstacle_speed=speed
+                )
+                del result["rows"]
+                rows.append({"speed": speed, **result})
+            write_json(path, {"moving": rows})
+            return [path]
+
+        _ = self.planner
+        self.make("moving", {**self._evaluated(), "episodes": self.options.moving}, make)
+        return json.loads(path.read_text(encoding="utf-8"))["moving"]
 
     def report(self) -> Path:
         """Write the report, or find it as it was written of the same files."""
@@ -305,7 +290,7 @@ class Run:
         def make() -> Iterable[Path]:
             return [write_report(self.folder.path, self.progress("report"))]
 
-        self._make("report", dict(sorted(self.hashes.items())), make)
+        self.make("report", dict(sorted(self.hashes.items())), make)
         return path
 
     # ---- helpers
@@ -317,9 +302,19 @@ class Run:
 
         return GaitProblem.of(self.spec, self.dynamics)
 
-    def _solve(self, solver: Any, stage: str) -> Gait:
+    def _evaluated(self) -> dict[str, Any]:
+        """Return what every evaluation depends on."""
+        return {
+            "surrogate": self.hashes["surrogate.npz"],
+            "policy": self.hashes[self.policy.name],
+            "planner": self.planner_solver.name,
+            "navigation": dataclasses.asdict(self.spec.navigation),
+            "seed": self.options.seed,
+        }
+
+    def solve(self, solver: Any, stage: str, seed: int) -> Gait:
         """Let a gait solver solve the problem; Ctrl-C is heard meanwhile."""
-        problem, seed, progress = self.problem, self.options.seed, self.progress(stage)
+        problem, progress = self.problem, self.progress(stage)
         return threads.interruptible(lambda: solver.solve(problem, seed, progress))
 
     def total_seconds(self) -> float:
@@ -347,7 +342,7 @@ class Run:
     def _key(self, stage: str) -> str:
         return self._of_planner(stage) if stage == "planner" else stage
 
-    def _make(self, stage: str, inputs: dict[str, Any], make: Callable[[], Iterable[Path]]) -> None:
+    def make(self, stage: str, inputs: dict[str, Any], make: Callable[[], Iterable[Path]]) -> None:
         """Make a stage or find it; remember the hashes of its files."""
         fresh = self.options.remake == stage
         self._used.add(self._key(stage))
@@ -397,28 +392,6 @@ def open_run(
         config["planner"] = kept.get("planner")
     with RunFolder(path, config, fresh) as folder:
         yield Run(spec, folder, options, progress)
-
-
-def compare(problem: GaitProblem, name: str, gait: Gait, seconds: float) -> dict[str, Any]:
-    """Return how a solver's gait does once it is simulated; the same measure for every solver.
-
-    Returns:
-        'name', 'seconds', 'objective' (as the solver has it), 'resimulated' (E_obj by rollouts, over
-        task sequences of our own), 'advance_m' of the first gait and 'falls', while switching.
-    """
-    from defplan_mj.gait.switching import evaluate_switching
-
-    sequences = problem.switching_sequences(np.random.default_rng(_OTHER_SEQUENCES))
-    cost = problem.objective(sequences)(w=problem.w_of(gait))["cost"]
-    switched = evaluate_switching(problem, gait, SWITCHING_CYCLES, seed=0)
-    return {
-        "name": name,
-        "seconds": gait.meta.get("seconds", seconds),
-        "objective": gait.meta.get("objective"),
-        "resimulated": float(cost),
-        "advance_m": switched.rows()[0]["advance_m"],
-        "falls": switched.falls,
-    }
 
 
 def write_json(path: Path, data: Any) -> None:

@@ -171,6 +171,7 @@ class TaskSpec:
             space is about to tilt.
         navigation: the second stage.
         gait_solver, planner: default plugins, by name.
+        rivals: gait solvers that the report compares with, if they are installed.
         paper: the paper's figures for this example (Tables I to III), for the report.
     """
 
@@ -187,4 +188,5 @@ class TaskSpec:
     navigation: Navigation = Navigation()
     gait_solver: str = "shooting"
     planner: str = "dql"
+    rivals: tuple[str, ...] = ("alternating",)  # the paper's scheme
     paper: dict = field(default_factory=dict)

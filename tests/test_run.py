@@ -15,11 +15,13 @@ import pytest
 
 from defplan_mj import cli, files, registry
 from defplan_mj.body.build import build_body
+from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import read_log
+from defplan_mj.planning.evaluation import OUTCOMES
 from defplan_mj.planning.planner import TrainResult
 from defplan_mj.results import run_results
-from defplan_mj.run import open_run
+from defplan_mj.run import SPEEDS, open_run
 from defplan_mj.task import BodyOptions, Navigation, TaskSpec, no_progress
 
 NAVIGATION = Navigation(
@@ -59,6 +61,13 @@ class Wave:
             amplitude=body.amplitude,
             meta={"solver": self.name, "seed": seed},
         )
+
+
+class Lame(Wave):
+    """A gait solver that fails."""
+
+    def solve(self, problem, seed, progress=no_progress):
+        raise DefplanError("it cannot walk")
 
 
 class Straight:
@@ -109,7 +118,8 @@ class Setting:
         whole = options.pop("whole", True)
         fresh = options.pop("fresh", False)
         seed = options.pop("seed", 0)
-        chosen = {"rival": "none", "pairs": 12, "episodes": 3, "logged": 1, **options}
+        chosen = {"rivals": ["none"], "pairs": 12, "episodes": 3, "logged": 1, "moving": 0}
+        chosen |= options
         with open_run(self.spec, self.logs, seed, chosen, whole=whole, fresh=fresh) as run:
             results = run_results(run)
         return results, (self.wave.calls - before[0], self.stubborn.calls - before[1])
@@ -134,9 +144,11 @@ def setting(tmp_path, monkeypatch, body):
         navigation=NAVIGATION,
         gait_solver="wave",
         planner="stubborn",
+        rivals=("wave", "rival"),
     )
     wave, stubborn = Wave(), Stubborn()
-    plugins = {"wave": wave, "rival": Wave("rival"), "stubborn": stubborn, "other": stubborn}
+    plugins = {"wave": wave, "rival": Wave("rival"), "lame": Lame("lame")}
+    plugins |= {"stubborn": stubborn, "other": stubborn}
     monkeypatch.setattr(registry, "get_solver", lambda name, kind: plugins[name])
     monkeypatch.setattr(registry, "get_task", lambda name: spec)
     monkeypatch.setattr("defplan_mj.body.build.build_body", lambda *_: body)
@@ -224,15 +236,45 @@ def test_a_second_planner_keeps_the_gaits_and_lies_beside_the_first(setting, sho
     assert (setting.logs / "fish-swim-seed0" / "policy.npz").is_file()
 
 
-def test_the_rival_gait_solver_is_measured_like_the_chosen_one(setting, short_report):
-    setting.run(rival="rival")
-    rows = json.loads((setting.logs / "fish-swim-seed0" / "gait_solvers.json").read_text())[
-        "solvers"
-    ]
-    assert [row["name"] for row in rows] == ["wave", "rival"]
-    for name in ("resimulated", "advance_m", "falls"):  # the same gait: the same figures
-        assert rows[0][name] == rows[1][name]
-    assert np.isfinite(rows[0]["resimulated"])
+def compared(setting):
+    """Return the rows of the comparison of gait solvers."""
+    path = setting.logs / "fish-swim-seed0" / "gait_solvers.json"
+    return json.loads(path.read_text())["solvers"]
+
+
+def test_rival_gait_solvers_are_measured_like_the_chosen_one(setting, short_report):
+    _, made = setting.run(rivals=["rival", "lame"], solver_seeds=2)
+    rows = compared(setting)
+    assert [(row["name"], row["seed"]) for row in rows] == [
+        ("wave", 0), ("wave", 1), ("rival", 0), ("rival", 1), ("lame", 0), ("lame", 1),
+    ]  # fmt: skip
+    assert made[0] == 2  # its gait of the run's own seed is the run's
+    for row in rows[1:4]:  # the same gait: the same figures
+        for name in ("resimulated", "advance_m", "turn_rad", "cycles", "falls"):
+            assert row[name] == rows[0][name]
+    assert np.isfinite(rows[0]["resimulated"]) and rows[0]["cycles"] == 200
+    assert rows[0]["turn_rad"] > 0
+    assert rows[4] == {"name": "lame", "seed": 0, "error": "it cannot walk"}
+    # one more seed costs no more than that
+    assert setting.run(rivals=["rival", "lame"], solver_seeds=3)[1][0] == 1
+    assert len(compared(setting)) == 9
+
+
+def test_the_tasks_own_rivals_are_compared_unless_others_are_asked_for(setting, short_report):
+    setting.run(rivals=None)
+    assert [row["name"] for row in compared(setting)] == ["wave", "rival"]
+
+
+def test_episodes_among_moving_obstacles_are_counted_at_every_speed(setting, short_report):
+    results, _ = setting.run(moving=2)
+    assert [row["speed"] for row in results["moving"]] == list(SPEEDS)
+    for row in results["moving"]:
+        assert row["episodes"] == 2 and "rows" not in row
+        assert sum(row[name] for name in OUTCOMES) == pytest.approx(1.0)
+        assert set(row["interval"]) >= {"success"}
+    json.dumps(results, allow_nan=False)
+    assert setting.run(moving=2)[0]["moving"] == results["moving"]
+    assert setting.run()[0]["moving"] == []
 
 
 def test_fresh_makes_everything_anew_with_the_same_result(setting, short_report):

@@ -71,7 +71,9 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     chosen = {
         "gait_solver": arguments.gait_solver,
         "planner": arguments.planner,
-        "rival": arguments.rival,
+        "rivals": arguments.rival,
+        "solver_seeds": arguments.solver_seeds,
+        "moving": arguments.moving,
         "pairs": arguments.pairs,
         "episodes": arguments.episodes,
     }

@@ -89,10 +89,21 @@ def _run(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--rival",
         metavar="NAME",
-        help="gait solver that the report compares with (default: alternating; none: do not)",
+        action="append",
+        help="gait solver that the report compares with; may be given more than once "
+        "(default: the task's; none: do not)",
+    )
+    sub.add_argument(
+        "--solver-seeds", type=_count, metavar="N", help="of that comparison (default: 1)"
     )
     sub.add_argument("--pairs", type=_count, metavar="N", help="for the surrogate (default: 1000)")
     sub.add_argument("--episodes", type=_count, metavar="N", help="novel scenes (default: 200)")
+    sub.add_argument(
+        "--moving",
+        type=_natural,
+        metavar="N",
+        help="episodes among moving obstacles, for each of four speeds (default: 40; 0: none)",
+    )
     _common(sub)
 
 

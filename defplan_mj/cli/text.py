@@ -22,9 +22,19 @@ def run_text(data: dict[str, Any]) -> str:
             gait_text(data["gait"]),
             surrogate_text(data["surrogate"]),
             table(columns, rows, "Episodes on the reduced dynamics"),
+            *_moving_text(data["moving"]),
             f"report  {data['files']['report']}\nlog     {data['files']['log']}",
         ]
     )
+
+
+def _moving_text(rows: list[dict[str, Any]]) -> list[str]:
+    """Return the episodes among moving obstacles, if there are any."""
+    if not rows:
+        return []
+    columns = ["obstacles, m/s", *_EVALUATION_COLUMNS]
+    text = [[f"{row['speed']:g}", *_evaluation_row(row)] for row in rows]
+    return [table(columns, text, "K2 with shield, among moving obstacles")]
 
 
 def gait_text(data: dict[str, Any]) -> str:
@@ -58,7 +68,7 @@ def surrogate_text(data: dict[str, Any]) -> str:
     return table(columns, rows, f"Surrogate, {data['pairs']} pairs a gait")
 
 
-_EVALUATION_COLUMNS = ["episodes", "success", "95%", "collision", "timeout", "x real time"]
+_EVALUATION_COLUMNS = ["episodes", "success", "95%", "collision", "fall", "timeout", "x real time"]
 
 
 def evaluation_text(data: dict[str, Any]) -> str:
@@ -72,8 +82,7 @@ def _evaluation_row(data: dict[str, Any]) -> list[str]:
         str(data["episodes"]),
         f"{100 * data['success']:.1f}%",
         f"{100 * low:.1f}-{100 * high:.1f}%",
-        f"{100 * data['collision']:.1f}%",
-        f"{100 * data['timeout']:.1f}%",
+        *(f"{100 * data.get(name, 0.0):.1f}%" for name in ("collision", "fall", "timeout")),
         f"{data['real_time_factor']:.0f}",
     ]
 

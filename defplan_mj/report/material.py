@@ -62,7 +62,13 @@ class Material:
     def seconds(self) -> dict[str, float]:
         """Wall time of each stage, s; without the report's own, which is not known yet."""
         seconds = self.documents.get("run", {}).get("seconds", {})
-        return {k: v for k, v in seconds.items() if k not in ("report", "total")}
+        kept: dict[str, float] = {}
+        for name, value in seconds.items():
+            if name not in ("report", "total"):
+                # the comparison of gait solvers has a stage for each solver and seed
+                stage = name.split(" ")[0]
+                kept[stage] = kept.get(stage, 0.0) + value
+        return kept
 
     @property
     def task(self) -> str:
@@ -97,10 +103,9 @@ class Material:
 
     @property
     def solvers(self) -> list[dict[str, Any]]:
-        """The gait solvers on the same problem, one entry a solver; empty if not compared.
+        """The gait solvers on the same problem, an entry a solver and seed; empty if not compared.
 
-        'name', 'objective' (its own), 'resimulated' (the same objective, simulated again),
-        'seconds', 'advance_m' and 'falls' (while switching); or 'name' and 'error'.
+        'name', 'seed' and what `rivals.measure` says; or 'name', 'seed' and 'error'.
         """
         found = self.documents.get("gait_solvers", {}).get("solvers")
         return found if isinstance(found, list) else []

@@ -101,7 +101,7 @@ def success_section(material: Material) -> Section:
             "seconds per second of decision and physics, in one process.",
         ),
     ]
-    moving = material.documents["evaluation"].get("moving")
+    moving = material.documents.get("moving", {}).get("moving")
     if moving:
         section.blocks.append(
             drawing(

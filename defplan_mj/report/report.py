@@ -122,7 +122,9 @@ def command(material: Material) -> str:
     """Return the command line that a run was asked for with."""
     config = material.config
     words = ["defplan", "run", material.task, "--seed", str(config.get("seed", 0))]
-    for option in ("gait_solver", "planner", "pairs", "episodes"):
+    for name in config.get("rivals") or ():
+        words += ["--rival", str(name)]
+    for option in ("gait_solver", "planner", "solver_seeds", "pairs", "episodes", "moving"):
         if config.get(option) is not None:
             words += [f"--{option.replace('_', '-')}", str(config[option])]
     return " ".join([*words, "--fresh"])

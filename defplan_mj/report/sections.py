@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from defplan_mj.planning.evaluation import wilson_interval
 from defplan_mj.report.body_figures import mesh_figures, mode_figure
 from defplan_mj.report.content import (
     Block,
@@ -162,40 +163,72 @@ def _gait_tables(material: Material) -> list[Block]:
         blocks.append(Missing("Advance and turn a cycle under switching were not measured yet."))
     solvers = solver_rows(material.solvers)
     if solvers:
-        columns = [
-            "solver",
-            "its objective",
-            "re-simulated",
-            "seconds",
-            "advance (m)",
-            "lost cycles",
-        ]
+        seeds = len({solver.get("seed") for solver in material.solvers})
+        many = f", mean ± sd over {seeds} seeds" if seeds > 1 else ""
         caption = (
-            "The gait solvers on the same problem. What a solver claims counts for nothing until its "
-            "gaits are simulated again, step by step: the objective then, the first gait's advance a "
-            "cycle while gaits are switched, and the cycles that tilt or go backwards."
+            f"The gait solvers on the same problem{many}. What a solver claims counts for nothing "
+            "until its gaits are simulated again, step by step: the objective then; while gaits are "
+            "switched at random, the advance a cycle of the gait that is to go farthest, the turn a "
+            "cycle of those that are to turn, and the cycles that tilt, or go or turn the wrong way, "
+            "with their 95% interval (Wilson's)."
         )
-        blocks.append(Table(columns, solvers, caption))
+        blocks.append(Table(SOLVER_COLUMNS, solvers, caption))
         failed = [solver for solver in material.solvers if "error" in solver]
-        blocks += [Missing(f"Solver {s['name']} failed: {s['error']}.") for s in failed]
+        blocks += [Missing(f"Solver {s['name']}{_seed(s)} failed: {s['error']}.") for s in failed]
     else:
         blocks.append(Missing("The gait solvers were not compared in this run."))
     return blocks
 
 
+SOLVER_COLUMNS = (
+    "solver",
+    "its objective",
+    "re-simulated",
+    "seconds",
+    "advance (m)",
+    "turn (rad)",
+    "lost cycles",
+)
+
+
 def solver_rows(solvers: Sequence[dict[str, Any]]) -> list[list[str]]:
-    """Return a row a solver: its own objective, the re-simulated one, seconds, advance, falls."""
-    return [
-        [
-            str(solver.get("name", "")),
-            number(solver.get("objective")),
-            number(solver.get("resimulated")),
-            number(solver.get("seconds"), 1),
-            number(solver.get("advance_m")),
-            str(solver.get("falls", "–")),
-        ]
-        for solver in solvers
-    ]
+    """Return a row a solver, for `SOLVER_COLUMNS`, over all the seeds that it did not fail with."""
+    rows = []
+    for name in dict.fromkeys(str(solver.get("name", "")) for solver in solvers):
+        mine = [s for s in solvers if s.get("name") == name and "error" not in s]
+        if not mine:
+            continue
+        falls, cycles = (sum(s.get(key, 0) for s in mine) for key in ("falls", "cycles"))
+        lost = f"{falls} of {cycles}"
+        if cycles:
+            low, high = wilson_interval(falls, cycles)
+            lost += f" ({100 * low:.1f}–{100 * high:.1f}%)"
+        rows.append(
+            [
+                name,
+                _over_seeds(mine, "objective"),
+                _over_seeds(mine, "resimulated"),
+                _over_seeds(mine, "seconds", 1),
+                _over_seeds(mine, "advance_m"),
+                _over_seeds(mine, "turn_rad"),
+                lost,
+            ]
+        )
+    return rows
+
+
+def _over_seeds(solvers: Sequence[dict[str, Any]], name: str, digits: int = 3) -> str:
+    """Return mean and standard deviation (n - 1) over seeds; of one seed its number."""
+    values = [s[name] for s in solvers if s.get(name) is not None]
+    if not values:
+        return number(None)
+    if len(values) == 1:
+        return number(values[0], digits)
+    return mean_sd(float(np.mean(values)), float(np.std(values, ddof=1)), digits)
+
+
+def _seed(solver: dict[str, Any]) -> str:
+    return f", seed {solver['seed']}," if "seed" in solver else ""
 
 
 def surrogate_section(material: Material) -> Section:
