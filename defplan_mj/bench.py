@@ -97,8 +97,8 @@ class Kernel:
     def __init__(self, dynamics: ReducedDynamics) -> None:
         self.dynamics = dynamics
         self._lib = library.kernel()
-        self._blob, self._par = (a.ctypes.data for a in (dynamics.blob, dynamics.par))
-        self._sizes = (ctypes.c_int * 4)()
+        self._blob, self._model = dynamics.blob.ctypes.data, ctypes.addressof(dynamics.model)
+        self._sizes = (ctypes.c_int * 5)()
 
     def function(self, name: str, result: Any, *kinds: Any) -> Any:
         """Return a function of the library with plain argument types."""
@@ -112,19 +112,19 @@ class Kernel:
 
     def steps(self, states: np.ndarray, shapes: np.ndarray) -> Timing:
         """Time each single step along a trajectory (N + 1, nx) under `shapes` (N, r)."""
-        call = self.function("dp_step", ctypes.c_int, *[ctypes.c_void_p] * 6)
+        call = self.function("dp_step", ctypes.c_int, *[ctypes.c_void_p] * 5)
         out = np.empty(states.shape[1])
         return self._along(call, (states, shapes, out, None), len(shapes))
 
     def adjoints(self, states: np.ndarray, shapes: np.ndarray) -> Timing:
         """Time the adjoint of each step of a trajectory."""
-        call = self.function("dp_step_adj", ctypes.c_int, *[ctypes.c_void_p] * 8)
+        call = self.function("dp_step_adj", ctypes.c_int, *[ctypes.c_void_p] * 7)
         nx = states.shape[1]
         seed, gx, gu = np.ones(nx), np.empty(nx), np.empty(shapes.shape[1])
         return self._along(call, (states, shapes, states[1:], seed, gx, gu), len(shapes))
 
     def _along(self, call: Any, arrays: tuple[np.ndarray | None, ...], n: int) -> Timing:
-        """Time `call(blob, par, row i of each 2D array...)` for i < n."""
+        """Time `call(model, row i of each 2D array...)` for i < n."""
         addresses = [
             [
                 None if a is None else a[i].ctypes.data if a.ndim == 2 else a.ctypes.data
@@ -134,13 +134,13 @@ class Kernel:
         ]
         rows = list(zip(*addresses, strict=True))
         for row in rows[: min(n, 200)]:
-            call(self._blob, self._par, *row)
+            call(self._model, *row)
         samples = np.empty(n)
         clock = time.perf_counter_ns
-        blob, par = self._blob, self._par
+        model = self._model
         for i, row in enumerate(rows):
             start = clock()
-            call(blob, par, *row)
+            call(model, *row)
             samples[i] = clock() - start
         return Timing(1e-9 * samples)
 

@@ -39,8 +39,9 @@ def test_single_steps_by_address_are_those_of_the_rollout(small_fish):
     states = dynamics.rollout(dynamics.rest_state(), shapes)
     kernel = bench.Kernel(dynamics)
     out = np.empty(dynamics.nx)
-    call = kernel.function("dp_step", bench.ctypes.c_int, *[bench.ctypes.c_void_p] * 6)
-    address = [a.ctypes.data for a in (dynamics.blob, dynamics.par, states[4], shapes[4], out)]
+    call = kernel.function("dp_step", bench.ctypes.c_int, *[bench.ctypes.c_void_p] * 5)
+    model = bench.ctypes.addressof(dynamics.model)
+    address = [model, *(a.ctypes.data for a in (states[4], shapes[4], out))]
     assert call(*address, None) == 0
     np.testing.assert_array_equal(out, states[5])
     assert len(kernel.steps(states, shapes).samples) == len(shapes)

@@ -25,7 +25,7 @@ class CasadiDynamics:
 
     @cached_property
     def step(self) -> casadi.Function:
-        """(x: nx, u: r) -> x_next: nx, with Jacobian and adjoint."""
+        """(x: nx, u: nu) -> x_next: nx, with Jacobian and adjoint."""
         return self._function("defplan_step", 1)
 
     @cached_property
@@ -46,8 +46,38 @@ class CasadiDynamics:
         options |= {"enable_forward": False, "enable_reverse": False}
         return casadi.Function("step", [x, u], [self.step(x, u)], ["x", "u"], ["x_next"], options)
 
+    @cached_property
+    def step_forced(self) -> casadi.Function:
+        """(x: nx, u: r, forces: 3 x n_feet) -> x_next: nx, for dynamics with feet; as `step`."""
+        self._needs_feet()
+        return self._split(self.step)
+
+    @cached_property
+    def step_forced_gauss_newton(self) -> casadi.Function:
+        """`step_forced` with second derivatives taken as zero, as in `step_gauss_newton`."""
+        self._needs_feet()
+        return self._split(self.step_gauss_newton)
+
+    @cached_property
+    def feet(self) -> casadi.Function:
+        """x: nx -> p: 3 x n_feet, the world positions of the feet (m), with Jacobian."""
+        self._needs_feet()
+        return self._function("defplan_feet", 1)
+
+    def _needs_feet(self) -> None:
+        if self.dynamics.feet is None:
+            raise DefplanError("these dynamics have no feet: give ReducedDynamics some")
+
+    def _split(self, step: casadi.Function) -> casadi.Function:
+        """Return `step` with the forces as an argument of their own."""
+        dynamics = self.dynamics
+        x, u = casadi.MX.sym("x", dynamics.nx), casadi.MX.sym("u", dynamics.body.n_modes)
+        forces = casadi.MX.sym("forces", 3, len(dynamics.feet or ()))
+        out = step(x, casadi.vertcat(u, casadi.vec(forces)))
+        return casadi.Function("step_forced", [x, u, forces], [out], ["x", "u", "forces"], ["x_next"])
+
     def rollout(self, n: int) -> casadi.Function:
-        """Return (x0: nx, u: r x n) -> x: nx x n, the states after each step, with adjoint."""
+        """Return (x0: nx, u: nu x n) -> x: nx x n, the states after each step, with adjoint."""
         if n not in self._rollouts:
             self._rollouts[n] = self._function("defplan_rollout", n)
         return self._rollouts[n]
@@ -55,15 +85,14 @@ class CasadiDynamics:
     def rollouts(self, n: int, count: int, threads: int = 1) -> casadi.Function:
         """Return `count` rollouts in parallel, side by side in the columns of the arguments.
 
-        (x0: nx x count, u: r x (n count)) -> x: nx x (n count), with adjoint.
+        (x0: nx x count, u: nu x (n count)) -> x: nx x (n count), with adjoint.
         """
         if threads > 1:
             return self.rollout(n).map(count, "thread", threads)
         return self.rollout(n).map(count)
 
     def _function(self, name: str, steps: int) -> casadi.Function:
-        blob, par = self.dynamics.blob, self.dynamics.par
-        slot = kernel().dp_slot_open(blob, blob.size, par, steps)
+        slot = kernel().dp_slot_open(self.dynamics.model, steps)
         if slot < 0:
             reason = {-1: "64 are in use already", -2: "steps must be positive"}.get(
                 slot, "no memory"

@@ -122,7 +122,7 @@ class Physics(engine.Physics):
 
     def surface(self) -> np.ndarray:
         """Return the world positions (n_s, 3) of the deformed surface vertices, m."""
-        blob, sizes = self._blob(), (ctypes.c_int * 4)()
+        blob, sizes = self._blob(), (ctypes.c_int * 5)()
         kernel().dp_sizes(blob, sizes)
         points = np.empty((sizes[3], 3))
         qpos = self.data.qpos[: 7 + self.n_modes].copy()

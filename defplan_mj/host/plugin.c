@@ -10,7 +10,8 @@
  *
  * What an instance reads from the model (so copies, pickles and batches of a model just work):
  *   custom numerics, named by the config attributes `body` (the kernel's blob), `options` (the
- *   kernel's par; its time step is overwritten by opt.timestep) and `scale` (target shape at ctrl = 1);
+ *   kernel's par; its time step is overwritten by opt.timestep), `scale` (target shape at ctrl = 1) and
+ *   `terrain` (what the body stands on; without it there is no contact);
  *   its actuators, in order: their joints are the modal coordinates, slides on children of the body
  *   that carries the free joint; body_user (if 3 numbers) is the velocity of a mocap obstacle.
  * What it keeps is in plugin_state, laid out by the ST_* indices. It allocates nothing. */
@@ -34,15 +35,16 @@ enum {             /* indices of plugin_state */
 
 static const double CUTOFF = 1.0; /* m; the clearance sensor saturates here */
 
-static const char* const ATTRIBUTES[] = {"body", "options", "scale"};
-static const char* const DEFAULTS[] = {"defplan_body", "defplan_options", "defplan_scale"};
+static const char* const ATTRIBUTES[] = {"body", "options", "scale", "terrain"};
+static const char* const DEFAULTS[] = {"defplan_body", "defplan_options", "defplan_scale",
+                                       "defplan_terrain"};
 
 /* Where an instance finds its things in a model. */
 typedef struct {
   int r, root;                        /* modes; body of the free joint */
   int qpos_root, dof_root;            /* addresses of the free joint */
   int ctrl[DP_MAX_MODES], qpos[DP_MAX_MODES], dof[DP_MAX_MODES];
-  const mjtNum *blob, *options, *scale;
+  const mjtNum *blob, *options, *scale, *terrain; /* terrain may be NULL */
 } layout;
 
 /* Return the data of the numeric that attribute i names, or NULL; its size in *size. */
@@ -56,7 +58,7 @@ static const mjtNum* find_numeric(const mjModel* m, int instance, int i, int* si
 
 /* Fill `at`; return NULL, or what is wrong with the model. */
 static const char* find_layout(const mjModel* m, int instance, layout* at) {
-  int size = 0, sizes[4];
+  int size = 0, sizes[5];
   at->blob = find_numeric(m, instance, 0, &size);
   if (!at->blob || dp_check(at->blob, size)) return "no valid body numeric";
   dp_sizes(at->blob, sizes);
@@ -64,6 +66,9 @@ static const char* find_layout(const mjModel* m, int instance, layout* at) {
   if (!at->options || size != DP_N_PAR) return "no valid options numeric";
   at->scale = find_numeric(m, instance, 2, &size);
   if (!at->scale || size != sizes[0]) return "no scale numeric with one number a mode";
+
+  at->terrain = find_numeric(m, instance, 3, &size);
+  if (at->terrain && dp_check_terrain(at->terrain, size)) return "no valid terrain numeric";
 
   /* actuators of this instance -> modal joints */
   at->r = 0;
@@ -215,11 +220,12 @@ static void plugin_advance(const mjModel* m, mjData* d, int instance) {
   if (!state[ST_READY]) return;
 
   double par[DP_N_PAR], u[DP_MAX_MODES], x[MAX_STATE];
-  dp_info info = {0, 0, 0};
+  dp_info info = {0, 0, 0, 0};
   memcpy(par, at.options, sizeof(par));
   par[DP_TIMESTEP] = m->opt.timestep;
   get_target(m, d, &at, instance, u);
-  dp_step(at.blob, par, state + ST_X, u, x, &info);
+  const dp_model model = {at.blob, par, at.terrain, NULL};
+  dp_step(&model, state + ST_X, u, x, &info);
   set_state(d, &at, x);
   state[ST_READY] = 0;
   state[ST_ITERATIONS] = info.iterations;
@@ -232,7 +238,7 @@ static void plugin_visualize(const mjModel* m, mjData* d, const mjvOption* opt, 
                              int instance) {
   (void)opt; (void)scn;
   layout at;
-  int sizes[4];
+  int sizes[5];
   if (find_layout(m, instance, &at)) return;
   dp_sizes(at.blob, sizes);
   for (int i = 0; i < m->nskin; i++) {
@@ -256,7 +262,7 @@ mjPLUGIN_LIB_INIT(defplan_plugin) {
   mjpPlugin plugin;
   mjp_defaultPlugin(&plugin);
   plugin.name = "defplan.reduced_fem";
-  plugin.nattribute = 3;
+  plugin.nattribute = 4;
   plugin.attributes = ATTRIBUTES;
   plugin.capabilityflags = mjPLUGIN_ACTUATOR | mjPLUGIN_SENSOR;
   plugin.needstage = mjSTAGE_POS;

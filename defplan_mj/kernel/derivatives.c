@@ -2,7 +2,7 @@
 #include "work.h"
 
 /* a1, a2 (6 + r), au (r): gradients of lambda . dE/dQ with respect to the last configuration, the
- * one before (both in world tangent coordinates) and u; after assemble at the solution. */
+ * one before (both in world tangent coordinates) and u (nu); after assemble at the solution. */
 static void mixed(Work* w, const double* lambda, double* a1, double* a2, double* au) {
   const Body* b = w->body;
   const int r = b->r, kp = b->kp, np = b->np;
@@ -95,6 +95,7 @@ static void mixed(Work* w, const double* lambda, double* a1, double* a2, double*
       field_transpose(b, b->tangent1, gt, np, gz);
       field_transpose(b, b->tangent2, t1, np, gz);
     }
+    if (t == 0) forces_mixed(w, lambda, dz, out, gz, au);
     for (int c = 0; c < r; c++) out[6 + c] = inner(cfg->dz + c * kp, gz, kp);
   }
   for (int c = 0; c < r; c++) {
@@ -104,8 +105,14 @@ static void mixed(Work* w, const double* lambda, double* a1, double* a2, double*
   }
 }
 
-/* A solved step, ready for its derivatives: the Hessian at x_next and its factor L. */
-static int linearise(Work* w, const double* x, const double* x_next, double* L) {
+/* A solved step, ready for its derivatives: the Hessian at x_next and its factors. With contact it is
+ * not symmetric. */
+typedef struct {
+  double factors[MAX_N * MAX_N];
+  int n, symmetric, pivot[MAX_N];
+} Linear;
+
+static int linearise(Work* w, const double* x, const double* x_next, Linear* l) {
   const int r = w->body->r, n = 6 + r;
   work_unpack(w, x);
   work_prepare(w, 1);
@@ -115,7 +122,17 @@ static int linearise(Work* w, const double* x, const double* x_next, double* L) 
   memcpy(w->q_now, x_next + 7, sizeof(double) * r);
   w->now.q = w->q_now;
   work_assemble(w);
-  return cholesky(w->H, n, L);
+  l->n = n, l->symmetric = !terrain_parts(&w->terrain);
+  if (l->symmetric) return cholesky(w->H, n, l->factors);
+  int sign;
+  memcpy(l->factors, w->H, sizeof(double) * n * n);
+  return lu(l->factors, n, l->pivot, &sign);
+}
+
+/* H^T x = rhs */
+static void solve_transposed(const Linear* l, const double* rhs, double* x) {
+  if (l->symmetric) cholesky_solve(l->factors, l->n, rhs, x);
+  else lu_solve_transposed(l->factors, l->pivot, l->n, rhs, x);
 }
 
 /* Gradient g_next over x_next -> gradient over the new configuration (out, 6 + r) and what goes
@@ -159,73 +176,73 @@ static void pull_input(const Work* w, const double* x, const double* g1, const d
   for (int c = 0; c < r; c++) gx[7 + c] = g1[6 + c] + g2[6 + c], gv[6 + c] = -h * g2[6 + c];
 }
 
-static int adjoint(const Body* b, const double* par, const double* x, const double* u, const double* x_next,
-                   const double* g_next, double* gx, double* gu) {
-  const int n = 6 + b->r;
-  double L[MAX_N * MAX_N], out[MAX_N], direct[MAX_N], lambda[MAX_N], a1[MAX_N], a2[MAX_N];
-  WORK(w, b, par, u);
-  if (!linearise(&w, x, x_next, L)) {
-    memset(gx, 0, sizeof(double) * (13 + 2 * b->r)), memset(gu, 0, sizeof(double) * b->r);
+static int adjoint(const Parts* p, const double* x, const double* u, const double* x_next, const double* g_next,
+                   double* gx, double* gu) {
+  const int n = 6 + p->body.r;
+  Linear linear;
+  double out[MAX_N], direct[MAX_N], lambda[MAX_N], a1[MAX_N], a2[MAX_N];
+  WORK(w, p, u);
+  if (!linearise(&w, x, x_next, &linear)) {
+    memset(gx, 0, sizeof(double) * (13 + 2 * p->body.r)), memset(gu, 0, sizeof(double) * p->nu);
     return 1;
   }
   pull_output(&w, x_next, g_next, out, direct);
-  cholesky_solve(L, n, out, lambda);
+  solve_transposed(&linear, out, lambda);
   mixed(&w, lambda, a1, a2, gu);
   for (int i = 0; i < n; i++) a1[i] = direct[i] - a1[i], a2[i] = -a2[i];
-  for (int c = 0; c < b->r; c++) gu[c] = -gu[c];
+  for (int c = 0; c < p->nu; c++) gu[c] = -gu[c];
   pull_input(&w, x, a1, a2, gx);
   return 0;
 }
 
-int dp_step_adj(const double* blob, const double* par, const double* x, const double* u, const double* x_next,
-                const double* g_next, double* gx, double* gu) {
-  Body b;
-  if (body_view(&b, blob, (size_t)blob[2])) return 1;
-  return adjoint(&b, par, x, u, x_next, g_next, gx, gu);
+int dp_step_adj(const dp_model* m, const double* x, const double* u, const double* x_next, const double* g_next,
+                double* gx, double* gu) {
+  Parts p;
+  if (parts_view(&p, m)) return 1;
+  return adjoint(&p, x, u, x_next, g_next, gx, gu);
 }
 
-int dp_step_jac(const double* blob, const double* par, const double* x, const double* u, const double* x_next,
-                double* A, double* B) {
-  Body b;
-  if (body_view(&b, blob, (size_t)blob[2])) return 1;
-  const int r = b.r, n = 6 + r, nx = 13 + 2 * r;
-  double L[MAX_N * MAX_N], M1[MAX_N * MAX_N], M2[MAX_N * MAX_N], Mu[MAX_N * DP_MAX_MODES];
-  WORK(w, &b, par, u);
-  if (!linearise(&w, x, x_next, L)) return 1;
+int dp_step_jac(const dp_model* m, const double* x, const double* u, const double* x_next, double* A, double* B) {
+  Parts p;
+  if (parts_view(&p, m)) return 1;
+  const int r = p.body.r, n = 6 + r, nx = 13 + 2 * r, nu = p.nu;
+  Linear linear;
+  double M1[MAX_N * MAX_N], M2[MAX_N * MAX_N], Mu[MAX_N * DP_MAX_INPUT];
+  WORK(w, &p, u);
+  if (!linearise(&w, x, x_next, &linear)) return 1;
   for (int i = 0; i < n; i++) { /* rows: lambda = e_i */
     double unit[MAX_N] = {0};
     unit[i] = 1;
-    mixed(&w, unit, M1 + i * n, M2 + i * n, Mu + i * r);
+    mixed(&w, unit, M1 + i * n, M2 + i * n, Mu + i * nu);
   }
   for (int o = 0; o < nx; o++) {
     double seed[13 + 2 * DP_MAX_MODES] = {0}, out[MAX_N], direct[MAX_N], lambda[MAX_N], g1[MAX_N], g2[MAX_N];
     seed[o] = 1;
     pull_output(&w, x_next, seed, out, direct);
-    cholesky_solve(L, n, out, lambda);
+    solve_transposed(&linear, out, lambda);
     for (int j = 0; j < n; j++) {
       g1[j] = direct[j], g2[j] = 0;
       for (int i = 0; i < n; i++) g1[j] -= lambda[i] * M1[i * n + j], g2[j] -= lambda[i] * M2[i * n + j];
     }
-    for (int c = 0; c < r; c++) {
+    for (int c = 0; c < nu; c++) {
       double s = 0;
-      for (int i = 0; i < n; i++) s -= lambda[i] * Mu[i * r + c];
-      B[o * r + c] = s;
+      for (int i = 0; i < n; i++) s -= lambda[i] * Mu[i * nu + c];
+      B[o * nu + c] = s;
     }
     pull_input(&w, x, g1, g2, A + (size_t)o * nx);
   }
   return 0;
 }
 
-int dp_rollout_adj(const double* blob, const double* par, int N, const double* u, const double* xs, double* gxs,
-                   double* gu) {
-  Body b;
-  if (body_view(&b, blob, (size_t)blob[2])) return N;
-  const int r = b.r, nx = 13 + 2 * r;
+int dp_rollout_adj(const dp_model* m, int N, const double* u, const double* xs, double* gxs, double* gu) {
+  Parts p;
+  if (parts_view(&p, m)) return N;
+  const int nx = 13 + 2 * p.body.r;
   int failed = 0;
   double gx[13 + 2 * DP_MAX_MODES];
   for (int i = N - 1; i >= 0; i--) {
-    failed += adjoint(&b, par, xs + (size_t)i * nx, u + (size_t)i * r, xs + (size_t)(i + 1) * nx,
-                      gxs + (size_t)(i + 1) * nx, gx, gu + (size_t)i * r);
+    failed += adjoint(&p, xs + (size_t)i * nx, u + (size_t)i * p.nu, xs + (size_t)(i + 1) * nx,
+                      gxs + (size_t)(i + 1) * nx, gx, gu + (size_t)i * p.nu);
     for (int j = 0; j < nx; j++) gxs[(size_t)i * nx + j] += gx[j];
   }
   return failed;

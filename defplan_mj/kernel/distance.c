@@ -1,4 +1,4 @@
-/* Signed distances of points to simple solids, and the smallest one of a deformed surface. */
+/* Signed distances of points to simple solids with two derivatives, and the smallest one of a surface. */
 #include "internal.h"
 
 /* Nearest point on an ellipsoid with semi-axes a, first octant: bisection on the Lagrange
@@ -31,10 +31,39 @@ static void ellipsoid_nearest(const double* a, const double* p, double* out) {
   if (flat >= 0 && s < 1) out[flat] = a[flat] * sqrt(1 - s); /* on the axis inside: the side is free */
 }
 
-double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]) {
+/* hessian (local, row-major) += factor a a^T */
+static void add_square(double* hessian, double factor, double x, double y, double z) {
+  const double a[3] = {x, y, z};
+  for (int i = 0; i < 9; i++) hessian[i] += factor * a[i / 3] * a[i % 3];
+}
+
+/* Hessian of the distance to a surface with shape operator S at the nearest point: S (I + dist S)^-1. */
+static void curved(const double* size, const double* near, const double* n, double dist, double* hessian) {
+  double S[9], A[9], length = 0;
+  for (int i = 0; i < 3; i++) length += near[i] * near[i] / pow(size[i], 4);
+  length = sqrt(length);
+  for (int i = 0; i < 9; i++) {
+    double s = 0;
+    for (int k = 0; k < 3; k++)
+      s += ((i / 3 == k) - n[i / 3] * n[k]) / (size[k] * size[k]) * ((i % 3 == k) - n[k] * n[i % 3]);
+    S[i] = s / length, A[i] = (i % 4 == 0) + dist * S[i];
+  }
+  double c[9], inverse[9];
+  for (int i = 0; i < 3; i++) cross3(A + 3 * ((i + 1) % 3), A + 3 * ((i + 2) % 3), c + 3 * i);
+  const double det = dot3(A, c);
+  for (int i = 0; i < 9; i++) inverse[i] = c[3 * (i % 3) + i / 3] / det;
+  for (int i = 0; i < 9; i++) {
+    hessian[i] = 0;
+    for (int k = 0; k < 3; k++) hessian[i] += S[3 * (i / 3) + k] * inverse[3 * k + i % 3];
+  }
+}
+
+double geom_gap(const dp_geom* g, const double p[3], double* normal, double* hessian) {
   double d[3] = {p[0] - g->pos[0], p[1] - g->pos[1], p[2] - g->pos[2]}, l[3], n[3] = {0, 0, 1}, dist;
+  double unused[9], *h = hessian ? hessian : unused;
   mul_mtv(g->mat, d, l);
   const double* size = g->size;
+  memset(h, 0, 9 * sizeof(double));
   switch (g->type) {
     case DP_PLANE:
       dist = l[2];
@@ -46,6 +75,11 @@ double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]) {
       if (length > 0)
         for (int i = 0; i < 3; i++) n[i] = v[i] / length;
       dist = length - size[0];
+      if (length > 0) {
+        const int side = g->type == DP_CAPSULE && fabs(l[2]) < size[1];
+        for (int i = 0; i < 3; i++) h[4 * i] = side && i == 2 ? 0 : 1 / length;
+        add_square(h, -1 / length, n[0], n[1], n[2]);
+      }
       break;
     }
     case DP_CYLINDER: {
@@ -54,8 +88,11 @@ double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]) {
       if (side > 0 && cap > 0) {
         dist = sqrt(side * side + cap * cap);
         n[0] = c * side / dist, n[1] = s * side / dist, n[2] = up * cap / dist;
+        add_square(h, 1 / dist, c * cap / dist, s * cap / dist, -up * side / dist);
+        add_square(h, side / (dist * rho), -s, c, 0);
       } else if (side > cap) {
         dist = side, n[0] = c, n[1] = s, n[2] = 0;
+        if (rho > 0) add_square(h, 1 / rho, -s, c, 0);
       } else {
         dist = cap, n[0] = n[1] = 0, n[2] = up;
       }
@@ -70,7 +107,8 @@ double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]) {
       }
       if (outside > 0) {
         dist = sqrt(outside);
-        for (int i = 0; i < 3; i++) n[i] = (l[i] < 0 ? -1 : 1) * out[i] / dist;
+        for (int i = 0; i < 3; i++) n[i] = (l[i] < 0 ? -1 : 1) * out[i] / dist, h[4 * i] = out[i] > 0 ? 1 / dist : 0;
+        add_square(h, -1 / dist, n[0], n[1], n[2]);
       } else {
         dist = q[nearest];
         for (int i = 0; i < 3; i++) n[i] = i == nearest ? (l[i] < 0 ? -1 : 1) : 0;
@@ -85,13 +123,28 @@ double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]) {
       for (int i = 0; i < 3; i++) n[i] = (l[i] < 0 ? -1 : 1) * near[i] / (size[i] * size[i]), sum += n[i] * n[i];
       for (int i = 0; i < 3; i++) n[i] /= sqrt(sum);
       dist = inside < 0 ? -length : length;
+      if (hessian) {
+        for (int i = 0; i < 3; i++) near[i] = l[i] < 0 ? -near[i] : near[i];
+        curved(size, near, n, dist, h);
+      }
       break;
     }
     default:
       return INFINITY;
   }
   if (normal) mul_mv(g->mat, n, normal);
+  if (hessian) { /* to the world: mat h mat^T */
+    double half[9];
+    for (int i = 0; i < 3; i++) mul_mv(g->mat, (double[3]){h[i], h[3 + i], h[6 + i]}, half + 3 * i);
+    for (int i = 0; i < 3; i++)
+      for (int j = 0; j < 3; j++)
+        h[3 * i + j] = g->mat[3 * j] * half[i] + g->mat[3 * j + 1] * half[3 + i] + g->mat[3 * j + 2] * half[6 + i];
+  }
   return dist;
+}
+
+double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]) {
+  return geom_gap(g, p, normal, NULL);
 }
 
 double dp_clearance(const double* blob, const double* qpos, int n_geom, const dp_geom* geoms, double cutoff,

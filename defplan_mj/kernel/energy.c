@@ -50,6 +50,7 @@ void work_prepare(Work* w, int derivatives) {
   for (int i = 0; i < 3; i++) w->guess[i] = 2 * w->one.c[i] - w->two.c[i];
   w->guess[2] += h * h * w->par[DP_GRAVITY];
   w->W[8 * kp] += b->mass * STANDARD_GRAVITY * w->par[DP_RIGHTING]; /* potential -M g D R_zz */
+  if (terrain_parts(&w->terrain)) contact_prepare(w);
   if (!np || w->par[DP_FLUID_DENSITY] == 0) return;
 
   /* patch centres and area vectors of the last configuration */
@@ -203,6 +204,9 @@ void work_assemble(Work* w) {
     }
   }
 
+  const int forces = w->feet.n || terrain_parts(&w->terrain);
+  if (forces) e += forces_evaluate(w, N);
+
   /* second derivatives of the rotation (exp at 0) and of zeta(q) */
   const double tr = N[0] + N[4] + N[8];
   for (int i = 0; i < 3; i++)
@@ -214,5 +218,6 @@ void work_assemble(Work* w) {
     for (int d = c; d < r; d++) H[(6 + c) * n + 6 + d] += curvature[c * rp + d];
   for (int i = 0; i < n; i++)
     for (int j = 0; j < i; j++) H[i * n + j] = H[j * n + i];
+  if (forces) forces_hessian(w);
   w->energy = e;
 }

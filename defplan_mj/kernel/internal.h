@@ -10,12 +10,12 @@
 #include "kernel.h"
 
 #define BLOB_MAGIC 20181018.0
-#define BLOB_VERSION 1.0
+#define BLOB_VERSION 2.0
 enum { HEADER = 16, PAD = 8 };
 
 typedef struct {
-  int r, k, n_samples, n_patches, n_surface; /* true sizes */
-  int rp, kp, nf, np, ns;                    /* padded: modes, basis + 1, features, patches, surface */
+  int r, k, n_samples, n_patches, n_surface, n_contacts; /* true sizes */
+  int rp, kp, nf, np, ns, nc; /* padded: modes, basis + 1, features, patches, surface, contacts */
   double mass, radius;                       /* kg; bound of |y| at rest, m */
   const double *stiffness;                   /* rp */
   const double *features;                    /* 9 x r x samples: q -> skew 3, strain 6 */
@@ -27,9 +27,37 @@ typedef struct {
   const double *tangent1, *tangent2;         /* kp x 3 x np */
   const double *areas;                       /* np */
   const double *surface;                     /* kp x 3 x ns */
+  const double *contacts;                    /* kp x 3 x nc: points that can touch the terrain */
 } Body;
 
 int body_view(Body* b, const double* blob, size_t n);
+
+/* Points of the body that take given forces. */
+typedef struct {
+  int n, np;           /* true and padded number */
+  const double* field; /* kp x 3 x np */
+} Feet;
+
+int feet_view(Feet* f, const Body* b, const double* feet, size_t n);
+
+/* What the body can touch (terrain.c). */
+typedef struct {
+  double friction;  /* coefficient */
+  double stiffness; /* N/m^2: normal force of a point at depth d below the rounding, stiffness d^2 */
+  double thickness; /* m: contact begins at this distance */
+  double slip;      /* m/s: rounds Coulomb's law at rest */
+  int n_geoms, rows, columns;
+  double centre[3], half[2], top; /* heightfield: x y of its centre, z of height 0; extent; largest height */
+  const double* geoms;        /* n_geoms x (type, size 3, pos 3, mat 9) = n_geoms x 16 */
+  const double* coefficients; /* rows (y) x columns (x): cubic B-spline of the heights */
+} Terrain;
+
+int terrain_view(Terrain* t, const double* terrain, size_t n);
+/* One part of the terrain at p: a smooth gap, its gradient and Hessian (gradient, hessian may be NULL).
+ * Parts are the geoms, then the heightfield, whose gap is vertical: divide by |gradient| for a distance. */
+static inline int terrain_parts(const Terrain* t) { return t->n_geoms + (t->rows > 0); }
+double terrain_gap(const Terrain* t, int part, const double p[3], double* gradient, double* hessian);
+double geom_gap(const dp_geom* g, const double p[3], double* normal, double* hessian);
 
 /* One configuration: c, orientation, q, and what follows from q. */
 typedef struct {

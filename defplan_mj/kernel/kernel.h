@@ -1,11 +1,12 @@
 /* The reduced step of a soft body: one implicit step of (c, R, q) under a target shape, with its
  * exact derivatives, rollouts, and distance queries. Plain C11; no allocation, no global state:
- * every call reads a body `blob` (an array of doubles that kernel/pack.py lays out) and is
- * thread-safe. SI units; world z is up.
+ * every call reads arrays of doubles that kernel/pack.py lays out (the body's `blob` and what else a
+ * dp_model names) and is thread-safe. SI units; world z is up.
  *
  * State x, 13 + 2r doubles, in MuJoCo's order:
  *   qpos: c (3, world), unit quaternion w x y z (4), q (r)
  *   qvel: v (3, world), angular velocity (3, body frame), dq/dt (r)
+ * Input u, r + 3 n_feet doubles: target shape (r), then a world force (N) on each foot of the model.
  * Options `par`, DP_N_PAR doubles: see the DP_* indices. */
 #ifndef DEFPLAN_KERNEL_H
 #define DEFPLAN_KERNEL_H
@@ -32,6 +33,15 @@ enum {               /* indices of par */
 };
 
 enum { DP_MAX_MODES = 16, DP_MAX_BASIS = 64, DP_MAX_SAMPLES = 40, DP_MAX_POINTS = 512 };
+enum { DP_MAX_CONTACTS = 192, DP_MAX_FEET = 16, DP_MAX_INPUT = DP_MAX_MODES + 3 * DP_MAX_FEET };
+
+/* What a step is made of. The arrays stay the caller's. */
+typedef struct {
+  const double* body;    /* the blob */
+  const double* par;     /* options */
+  const double* terrain; /* or NULL: no contact */
+  const double* feet;    /* or NULL: points on the body that take given forces */
+} dp_model;
 
 /* Geometry of an obstacle for distance queries; types numbered as in MuJoCo's mjtGeom. */
 enum { DP_PLANE = 0, DP_SPHERE = 2, DP_CAPSULE = 3, DP_ELLIPSOID = 4, DP_CYLINDER = 5, DP_BOX = 6 };
@@ -42,36 +52,49 @@ typedef struct {
 
 typedef struct {
   int iterations; /* Newton iterations, all attempts */
+  int attempts;   /* 1: the first one found the solution */
   int failed;     /* 1: the solve did not reach the tolerance */
   double residual; /* size of the last Newton step */
 } dp_info;
 
 /* 0 if blob holds a body of this version in n doubles, else a negative code. */
 DP_API int dp_check(const double* blob, size_t n);
-/* r, k, number of drag patches, number of surface points */
-DP_API void dp_sizes(const double* blob, int sizes[4]);
+/* 0 if terrain (not NULL) holds one in n doubles; feet for this body likewise. */
+DP_API int dp_check_terrain(const double* terrain, size_t n);
+DP_API int dp_check_feet(const double* blob, const double* feet, size_t n);
+/* r, k, number of drag patches, number of surface points, number of contact points */
+DP_API void dp_sizes(const double* blob, int sizes[5]);
 
 /* One step. Returns 0, or 1 if the solve failed (x_next is then the best iterate, always finite). */
-DP_API int dp_step(const double* blob, const double* par, const double* x, const double* u,
+DP_API int dp_step(const dp_model* m, const double* x, const double* u,
                    double* x_next, dp_info* info);
-/* N steps: u (N x r), xs ((N+1) x nx) with xs[0] = x0 given. Returns the number of failed solves. */
-DP_API int dp_rollout(const double* blob, const double* par, int N, const double* u, double* xs,
+/* N steps: u (N x nu), xs ((N+1) x nx) with xs[0] = x0 given. Returns the number of failed solves. */
+DP_API int dp_rollout(const dp_model* m, int N, const double* u, double* xs,
                       long* iterations);
-/* Jacobians of x_next, row-major: A (nx x nx), B (nx x r), at a solved step. Returns 0 or 1 (singular). */
-DP_API int dp_step_jac(const double* blob, const double* par, const double* x, const double* u,
+/* Jacobians of x_next, row-major: A (nx x nx), B (nx x nu), at a solved step. Returns 0 or 1 (singular). */
+DP_API int dp_step_jac(const dp_model* m, const double* x, const double* u,
                        const double* x_next, double* A, double* B);
 /* Adjoint: gx = A^T g_next, gu = B^T g_next (overwritten). */
-DP_API int dp_step_adj(const double* blob, const double* par, const double* x, const double* u,
+DP_API int dp_step_adj(const dp_model* m, const double* x, const double* u,
                        const double* x_next, const double* g_next, double* gx, double* gu);
 /* Adjoint of a rollout: on entry gxs ((N+1) x nx) = dJ/dxs, on return gxs[i] is the total
- * derivative with respect to xs[i] (gxs[0]: with respect to x0); gu (N x r) overwritten. */
-DP_API int dp_rollout_adj(const double* blob, const double* par, int N, const double* u,
+ * derivative with respect to xs[i] (gxs[0]: with respect to x0); gu (N x nu) overwritten. */
+DP_API int dp_rollout_adj(const dp_model* m, int N, const double* u,
                           const double* xs, double* gxs, double* gu);
 
 /* Energies and momenta of a state: out[0] kinetic, [1] elastic, [2] potential (gravity, righting),
  * [3..5] linear momentum, [6..8] angular momentum about the world origin; uses the discrete
  * velocity of the step that led to x. */
-DP_API void dp_energy(const double* blob, const double* par, const double* x, double out[9]);
+DP_API void dp_energy(const dp_model* m, const double* x, double out[9]);
+
+/* Contact forces in state x, which a step has reached: positions, forces on the body (normal and
+ * friction), both (n_c x 3), and gaps (n_c): least distance to the terrain. Returns how many touch. */
+DP_API int dp_contacts(const dp_model* m, const double* x, double* points, double* forces, double* gaps);
+/* Distance of a point to the terrain, near it (the least over its parts), and the outward normal. */
+DP_API double dp_terrain_gap(const double* terrain, const double p[3], double normal[3]);
+/* World positions of the model's feet (n_feet x 3), and if not NULL their Jacobian
+ * (3 n_feet x (7 + r), row-major) over qpos. */
+DP_API void dp_feet(const dp_model* m, const double* qpos, double* points, double* jacobian);
 
 /* World positions of the surface points, (n_s x 3) row-major. */
 DP_API void dp_surface(const double* blob, const double* qpos, double* points);
@@ -82,10 +105,10 @@ DP_API double dp_clearance(const double* blob, const double* qpos, int n_geom, c
 /* Signed distance of one point to one geom, and its outward gradient (normal, may be NULL). */
 DP_API double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]);
 
-/* CasADi (casadi.c) can pass numbers only: a slot holds a copy of a body and its options for its
- * functions defplan_step_<slot> (steps = 1) and defplan_rollout_<slot>. Returns the slot, -1 if all
- * are taken, -2 if blob or steps is wrong, -3 if there is no memory. Close it once the functions
+/* CasADi (casadi.c) can pass numbers only: a slot holds a copy of a model for its
+ * functions defplan_step_<slot> (steps = 1), defplan_rollout_<slot> and, with feet,
+ * defplan_feet_<slot>. Returns the slot, -1 if all are taken, -2 if the model or steps is wrong, -3 if there is no memory. Close it once the functions
  * are made: it lives as long as they do. */
-DP_API int dp_slot_open(const double* blob, size_t n, const double* par, int steps);
+DP_API int dp_slot_open(const dp_model* m, int steps);
 DP_API void dp_slot_close(int slot);
 #endif

@@ -2,6 +2,8 @@
  * linear maps over the basis. F_e = exp([w]) (I + E), w and E linear in q (Pan et al. [22]). */
 #include "internal.h"
 
+enum { FEET_HEADER = 8 }; /* size, number */
+
 static int padded(int n) { return (n + PAD - 1) / PAD * PAD; }
 
 int body_view(Body* b, const double* blob, size_t n) {
@@ -10,12 +12,13 @@ int body_view(Body* b, const double* blob, size_t n) {
   if (blob[2] != (double)n) return -3;
   b->r = (int)blob[3], b->k = (int)blob[4], b->n_samples = (int)blob[5];
   b->n_patches = (int)blob[6], b->n_surface = (int)blob[7];
-  b->mass = blob[8], b->radius = blob[9];
+  b->mass = blob[8], b->radius = blob[9], b->n_contacts = (int)blob[10];
   if (b->r < 1 || b->r > DP_MAX_MODES || b->k < 1 || b->k > DP_MAX_BASIS) return -4;
   if (b->n_samples < 1 || b->n_samples > DP_MAX_SAMPLES) return -4;
   if (b->n_patches < 0 || b->n_patches > DP_MAX_POINTS || b->n_surface < 0) return -4;
+  if (b->n_contacts < 0 || b->n_contacts > DP_MAX_CONTACTS) return -4;
   b->rp = padded(b->r), b->kp = padded(b->k + 1), b->nf = 9 * padded(b->n_samples);
-  b->np = padded(b->n_patches), b->ns = padded(b->n_surface);
+  b->np = padded(b->n_patches), b->ns = padded(b->n_surface), b->nc = padded(b->n_contacts);
   const double* p = blob + HEADER;
   size_t kp = b->kp;
   b->stiffness = p, p += b->rp;
@@ -29,6 +32,7 @@ int body_view(Body* b, const double* blob, size_t n) {
   b->tangent2 = p, p += kp * 3 * b->np;
   b->areas = p, p += b->np;
   b->surface = p, p += kp * 3 * b->ns;
+  b->contacts = p, p += kp * 3 * b->nc;
   return p == blob + n ? 0 : -3;
 }
 
@@ -37,8 +41,24 @@ int dp_check(const double* blob, size_t n) {
   return body_view(&b, blob, n);
 }
 
-void dp_sizes(const double* blob, int sizes[4]) {
-  for (int i = 0; i < 4; i++) sizes[i] = (int)blob[i < 2 ? 3 + i : 4 + i];
+void dp_sizes(const double* blob, int sizes[5]) {
+  static const int at[5] = {3, 4, 6, 7, 10};
+  for (int i = 0; i < 5; i++) sizes[i] = (int)blob[at[i]];
+}
+
+int feet_view(Feet* f, const Body* b, const double* feet, size_t n) {
+  f->n = f->np = 0, f->field = NULL;
+  if (!feet) return 0;
+  if (n < FEET_HEADER || feet[0] != (double)n) return -3;
+  f->n = (int)feet[1], f->np = padded(f->n), f->field = feet + FEET_HEADER;
+  if (f->n < 1 || f->n > DP_MAX_FEET) return -4;
+  return n == FEET_HEADER + (size_t)3 * b->kp * f->np ? 0 : -3;
+}
+
+int dp_check_feet(const double* blob, const double* feet, size_t n) {
+  Body b;
+  Feet f;
+  return body_view(&b, blob, (size_t)blob[2]) || feet_view(&f, &b, feet, n);
 }
 
 /* Coefficients of exp([w]) = I + a [w] + b [w]^2 as functions of T = |w|^2, and a1 = 2 da/dT,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from ctypes import c_double, c_int, c_long, c_size_t
+from ctypes import c_double, c_int, c_long, c_size_t, c_void_p
 from functools import cache
 from pathlib import Path
 
@@ -15,9 +15,30 @@ PATH = Path(__file__).with_name("libdefplan_kernel.so")
 
 
 class Info(ctypes.Structure):
-    """dp_info: Newton iterations, failure flag, size of the last Newton step."""
+    """dp_info: Newton iterations, attempts, failure flag, size of the last Newton step."""
 
-    _fields_ = [("iterations", c_int), ("failed", c_int), ("residual", c_double)]
+    _fields_ = [
+        ("iterations", c_int),
+        ("attempts", c_int),
+        ("failed", c_int),
+        ("residual", c_double),
+    ]
+
+
+class Model(ctypes.Structure):
+    """dp_model: addresses of body, options, terrain, feet (the last two may be None)."""
+
+    _fields_ = [(name, c_void_p) for name in ("body", "par", "terrain", "feet")]
+
+    def __init__(
+        self,
+        body: np.ndarray,
+        par: np.ndarray | None = None,
+        terrain: np.ndarray | None = None,
+        feet: np.ndarray | None = None,
+    ) -> None:
+        self.arrays = (body, par, terrain, feet)  # kept alive
+        super().__init__(*(None if a is None else a.ctypes.data for a in self.arrays))
 
 
 class Geom(ctypes.Structure):
@@ -49,19 +70,25 @@ def kernel() -> ctypes.CDLL:
             f"the compiled kernel {PATH} is missing: reinstall defplan with a C compiler"
         ) from error
     a, p = _array, _pointer
+    m = p(Model)
     signatures = {
         "dp_check": (c_int, [a, c_size_t]),
         "dp_sizes": (None, [a, p(c_int)]),
-        "dp_step": (c_int, [a, a, a, a, a, p(Info)]),
-        "dp_rollout": (c_int, [a, a, c_int, a, a, p(c_long)]),
-        "dp_step_jac": (c_int, [a, a, a, a, a, a, a]),
-        "dp_step_adj": (c_int, [a, a, a, a, a, a, a, a]),
-        "dp_rollout_adj": (c_int, [a, a, c_int, a, a, a, a]),
-        "dp_energy": (None, [a, a, a, a]),
+        "dp_check_terrain": (c_int, [a, c_size_t]),
+        "dp_check_feet": (c_int, [a, a, c_size_t]),
+        "dp_step": (c_int, [m, a, a, a, p(Info)]),
+        "dp_rollout": (c_int, [m, c_int, a, a, p(c_long)]),
+        "dp_step_jac": (c_int, [m, a, a, a, a, a]),
+        "dp_step_adj": (c_int, [m, a, a, a, a, a, a]),
+        "dp_rollout_adj": (c_int, [m, c_int, a, a, a, a]),
+        "dp_energy": (None, [m, a, a]),
+        "dp_contacts": (c_int, [m, a, a, a, a]),
+        "dp_terrain_gap": (c_double, [a, a, a]),
+        "dp_feet": (None, [m, a, a, c_void_p]),
         "dp_surface": (None, [a, a, a]),
         "dp_clearance": (c_double, [a, a, c_int, p(Geom), c_double, p(c_int), p(c_int)]),
         "dp_geom_distance": (c_double, [p(Geom), a, a]),
-        "dp_slot_open": (c_int, [a, c_size_t, a, c_int]),
+        "dp_slot_open": (c_int, [m, c_int]),
         "dp_slot_close": (None, [c_int]),
     }
     for name, (result, arguments) in signatures.items():

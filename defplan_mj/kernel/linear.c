@@ -29,3 +29,55 @@ void cholesky_solve(const double* L, int n, const double* rhs, double* x) {
     x[i] = q / L[i * n + i];
   }
 }
+
+int lu(double* A, int n, int* pivot, int* sign) {
+  *sign = 1;
+  for (int c = 0; c < n; c++) {
+    int best = c;
+    for (int i = c + 1; i < n; i++)
+      if (fabs(A[i * n + c]) > fabs(A[best * n + c])) best = i;
+    pivot[c] = best;
+    if (!(fabs(A[best * n + c]) > 1e-300)) return 0;
+    if (best != c) {
+      for (int j = 0; j < n; j++) {
+        const double t = A[c * n + j];
+        A[c * n + j] = A[best * n + j], A[best * n + j] = t;
+      }
+      *sign = -*sign;
+    }
+    if (A[c * n + c] < 0) *sign = -*sign;
+    const double inverse = 1 / A[c * n + c], *restrict top = A + c * n;
+    for (int i = c + 1; i < n; i++) {
+      double* restrict row = A + i * n;
+      const double l = row[c] *= inverse;
+      for (int j = c + 1; j < n; j++) row[j] -= l * top[j];
+    }
+  }
+  return 1;
+}
+void lu_solve(const double* LU, const int* pivot, int n, const double* rhs, double* x) {
+  memcpy(x, rhs, sizeof(double) * n);
+  for (int i = 0; i < n; i++) {
+    const double t = x[pivot[i]];
+    x[pivot[i]] = x[i], x[i] = t;
+  }
+  for (int i = 1; i < n; i++)
+    for (int j = 0; j < i; j++) x[i] -= LU[i * n + j] * x[j];
+  for (int i = n - 1; i >= 0; i--) {
+    for (int j = i + 1; j < n; j++) x[i] -= LU[i * n + j] * x[j];
+    x[i] /= LU[i * n + i];
+  }
+}
+void lu_solve_transposed(const double* LU, const int* pivot, int n, const double* rhs, double* x) {
+  memcpy(x, rhs, sizeof(double) * n);
+  for (int i = 0; i < n; i++) {
+    for (int j = 0; j < i; j++) x[i] -= LU[j * n + i] * x[j];
+    x[i] /= LU[i * n + i];
+  }
+  for (int i = n - 1; i >= 0; i--)
+    for (int j = i + 1; j < n; j++) x[i] -= LU[j * n + i] * x[j];
+  for (int i = n - 1; i >= 0; i--) {
+    const double t = x[pivot[i]];
+    x[pivot[i]] = x[i], x[i] = t;
+  }
+}

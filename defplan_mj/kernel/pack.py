@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from defplan_mj.body.model import Body
+from defplan_mj.kernel.contact_points import contact_points
 from defplan_mj.errors import DefplanError
 
-MAGIC, VERSION, HEADER, PAD = 20181018.0, 1.0, 16, 8
+MAGIC, VERSION, HEADER, PAD = 20181018.0, 2.0, 16, 8
 LIMITS = {"modes": 16, "basis": 64, "samples": 40, "patches": 512}  # kernel.h
 
 
@@ -18,8 +19,8 @@ def _pad(array: np.ndarray, axis: int) -> np.ndarray:
     return np.pad(np.asarray(array, float), widths)
 
 
-def _field(points: np.ndarray) -> np.ndarray:
-    """(p, 3, k+1) -> (kp, 3, np): basis function, coordinate, point."""
+def pack_field(points: np.ndarray) -> np.ndarray:
+    """Return points (p, 3, k+1) as the kernel has them: (kp, 3, np), basis, coordinate, point."""
     return _pad(_pad(points.transpose(2, 1, 0), 2), 0)
 
 
@@ -66,17 +67,18 @@ def pack_body(body: Body) -> np.ndarray:
         weights,
         _pad(_pad(body.moments.transpose(1, 2, 3, 0), 3), 0),  # (b, i, j, a)
         _pad(trace, 0),
-        _field(body.patch_points),
-        _field(body.patch_tangents[0]),
-        _field(body.patch_tangents[1]),
+        pack_field(body.patch_points),
+        pack_field(body.patch_tangents[0]),
+        pack_field(body.patch_tangents[1]),
         _pad(body.patch_areas, 0),
-        _field(surface),
+        pack_field(surface),
+        pack_field(surface[contact_points(body)]),
     ]
     header = np.zeros(HEADER)
     radius = np.linalg.norm(body.vertices, axis=1).max()
-    header[:10] = (
+    header[:11] = (
         *(MAGIC, VERSION, HEADER + sum(s.size for s in sections), r, body.n_basis, n_samples),
-        *(len(body.patch_areas), len(body.surface), body.mass, radius),
+        *(len(body.patch_areas), len(body.surface), body.mass, radius, len(contact_points(body))),
     )
     return np.concatenate([header, *(np.ascontiguousarray(s).ravel() for s in sections)])
 

@@ -57,6 +57,88 @@ static int minimise(Work* w, dp_info* info) {
   return 0;
 }
 
+/* Newton on the equations of contact, which have no potential; returns 1 if it converged. A step is
+ * taken if the next one, with the same factors, is shorter (Deuflhard's natural monotonicity test). */
+static int newton(Work* w, int limit, dp_info* info) {
+  const int n = 6 + w->body->r;
+  const double tolerance = w->par[DP_TOLERANCE];
+  double step[MAX_N], next[MAX_N], A[MAX_N * MAX_N];
+  int pivot[MAX_N], sign;
+  work_assemble(w);
+  for (int k = 0; k < limit; k++) {
+    info->iterations++;
+    memcpy(A, w->H, sizeof(double) * n * n);
+    if (!lu(A, n, pivot, &sign)) return 0;
+    lu_solve(A, pivot, n, w->g, step);
+    double largest = 0, turn = 0;
+    for (int i = 0; i < n; i++) {
+      largest = fmax(largest, fabs(step[i]));
+      if (i >= 3) turn = fmax(turn, fabs(step[i]));
+    }
+    info->residual = largest;
+    if (!(largest < 1e100)) return 0;
+    Config from = w->now;
+    double q_from[DP_MAX_MODES];
+    memcpy(q_from, w->q_now, sizeof(double) * w->body->r);
+    if (largest < tolerance) {
+      move(w, &from, q_from, step, 1);
+      return sign > 0; /* not a saddle */
+    }
+    double alpha = turn > MAX_TURN ? MAX_TURN / turn : 1;
+    const double size = inner(step, step, n);
+    for (int halvings = 0;; halvings++) {
+      move(w, &from, q_from, step, alpha);
+      work_assemble(w);
+      lu_solve(A, pivot, n, w->g, next);
+      const double reduced = 1 - .25 * alpha;
+      if (inner(next, next, n) <= reduced * reduced * size) break;
+      if (halvings == 7) return 0;
+      alpha *= .5;
+    }
+  }
+  return 0;
+}
+
+/* The step with contact: Newton from the start; if it fails, minimise with the normal forces of
+ * friction taken from the last iterate, and try again from there, more and more carefully. */
+static int solve_contact(Work* w, dp_info* info) {
+  const int r = w->body->r, limit = (int)w->par[DP_MAX_NEWTON];
+  work_assemble(w);
+  if (w->m) { /* the free motion leads into the ground: stay */
+    const double none[MAX_N] = {0};
+    move(w, &w->one, w->one.q, none, 0);
+  }
+  if (w->friction == 0) return minimise(w, info);
+  Config start = w->now;
+  double q_start[DP_MAX_MODES];
+  memcpy(q_start, w->q_now, sizeof(double) * r);
+  info->iterations = 0, info->attempts = 1;
+  if (newton(w, limit, info)) return 1;
+
+  w->now = start, memcpy(w->q_now, q_start, sizeof(double) * r);
+  kinematics(w->body, w->q_now, 0, w->now.zeta, w->scratch);
+  contact_positions(w, &w->now, w->touch_reference);
+  for (int outer = 0; outer < 12; outer++) {
+    info->attempts++;
+    w->reference = w->touch_reference;
+    dp_info minimum = {0, 0, 0, 0};
+    minimise(w, &minimum);
+    info->iterations += minimum.iterations;
+    w->reference = NULL;
+    kinematics(w->body, w->q_now, 0, w->now.zeta, w->scratch);
+    double next[3 * DP_MAX_CONTACTS];
+    contact_positions(w, &w->now, next);
+    Config found = w->now;
+    double q_found[DP_MAX_MODES];
+    memcpy(q_found, w->q_now, sizeof(double) * r);
+    if (newton(w, 12, info)) return 1;
+    w->now = found, memcpy(w->q_now, q_found, sizeof(double) * r);
+    const double share = outer ? .5 : 1;
+    for (int i = 0; i < 3 * w->body->nc; i++) w->touch_reference[i] += share * (next[i] - w->touch_reference[i]);
+  }
+  return 0;
+}
+
 static void pack(const Work* w, double* x_next) {
   const int r = w->body->r;
   const double ih = 1 / w->par[DP_TIMESTEP];
@@ -73,13 +155,13 @@ static void pack(const Work* w, double* x_next) {
   for (int c = 0; c < r; c++) v[6 + c] = (w->q_now[c] - one->q[c]) * ih, x_next[7 + c] = w->q_now[c];
 }
 
-static int step(const Body* b, const double* par, const double* x, const double* u, double* x_next,
-                dp_info* info) {
-  WORK(w, b, par, u);
+static int step(const Parts* p, const double* x, const double* u, double* x_next, dp_info* info) {
+  const Body* b = &p->body;
+  WORK(w, p, u);
   work_unpack(&w, x);
   work_prepare(&w, 0);
   /* start from the free motion; the shape, which stiffness and control hold back, half way */
-  const double h = par[DP_TIMESTEP], *v = x + 7 + b->r;
+  const double h = w.par[DP_TIMESTEP], *v = x + 7 + b->r;
   double step0[MAX_N], turn[3];
   mul_mv(w.one.R, v + 3, turn);
   for (int i = 0; i < 3; i++) step0[i] = w.one.c[i] - w.guess[i], step0[3 + i] = -h * turn[i];
@@ -88,27 +170,27 @@ static int step(const Body* b, const double* par, const double* x, const double*
   move(&w, &w.one, w.one.q, step0, 1);
   dp_info local;
   if (!info) info = &local;
-  info->failed = !minimise(&w, info);
+  info->attempts = 1;
+  info->failed = !(terrain_parts(&w.terrain) ? solve_contact(&w, info) : minimise(&w, info));
   pack(&w, x_next);
   return info->failed;
 }
 
-int dp_step(const double* blob, const double* par, const double* x, const double* u, double* x_next,
-            dp_info* info) {
-  Body b;
-  if (body_view(&b, blob, (size_t)blob[2])) return 1;
-  return step(&b, par, x, u, x_next, info);
+int dp_step(const dp_model* m, const double* x, const double* u, double* x_next, dp_info* info) {
+  Parts p;
+  if (parts_view(&p, m)) return 1;
+  return step(&p, x, u, x_next, info);
 }
 
-int dp_rollout(const double* blob, const double* par, int N, const double* u, double* xs, long* iterations) {
-  Body b;
-  if (body_view(&b, blob, (size_t)blob[2])) return N;
-  const int nx = 13 + 2 * b.r;
+int dp_rollout(const dp_model* m, int N, const double* u, double* xs, long* iterations) {
+  Parts p;
+  if (parts_view(&p, m)) return N;
+  const int nx = 13 + 2 * p.body.r;
   int failed = 0;
   long count = 0;
   for (int i = 0; i < N; i++) {
     dp_info info;
-    failed += step(&b, par, xs + (size_t)i * nx, u + (size_t)i * b.r, xs + (size_t)(i + 1) * nx, &info);
+    failed += step(&p, xs + (size_t)i * nx, u + (size_t)i * p.nu, xs + (size_t)(i + 1) * nx, &info);
     count += info.iterations;
   }
   if (iterations) *iterations = count;

@@ -7,7 +7,7 @@
 static const double SPEED2 = 1e-4; /* m^2/s^2: rounds the tangential drag at rest */
 static const double STANDARD_GRAVITY = 9.81;
 
-enum { MAX_N = 6 + DP_MAX_MODES };
+enum { MAX_N = 6 + DP_MAX_MODES, ROW = 24 }; /* unknowns; a padded row of them */
 
 typedef struct {
   double* next;
@@ -23,6 +23,8 @@ static inline double* take(Arena* arena, size_t n) {
 typedef struct {
   const Body* body;
   const double *par, *u;
+  Feet feet;
+  Terrain terrain;
   Config now, one, two; /* the iterate, the last configuration, the one before */
   double q_two[DP_MAX_MODES], q_now[DP_MAX_MODES];
   double guess[3];                  /* c^ */
@@ -33,18 +35,28 @@ typedef struct {
   double *Jq, *DJ;                  /* r x 3 np */
   double *gzeta, *Wg;               /* kp, 9 x kp */
   double energy, g[MAX_N], H[MAX_N * MAX_N];
+  double *feet_points, *feet_force, *feet_Jq; /* 3 x np of the feet, the same, r x that */
+  /* contact: points that can touch, at the last configuration and at the one that friction takes its
+   * normal forces from (NULL: the iterate); then what touches at the iterate, m of them padded to mp */
+  double *touch_before, *touch_reference, *touch_now; /* 3 x nc */
+  const double* reference;
+  int m, mp, which[DP_MAX_CONTACTS];
+  double *touch_field, *touch_points, *touch_force, *touch_Jq; /* kp x 3 mp, 3 mp, 3 mp, r x 3 mp */
+  double *touch_D, *touch_F;                                   /* m x 9: -df/dp, -df/dv */
+  double friction;                                             /* coefficient now */
 } Work;
 
-static inline size_t work_size(const Body* b) {
-  size_t kp = b->kp, np = b->np, r = b->r, k3 = kinematics_scratch(b);
+static inline size_t work_size(const Body* b, const Terrain* t, const Feet* f) {
+  size_t kp = b->kp, np = b->np, r = b->r, k3 = kinematics_scratch(b), nc = terrain_parts(t) ? b->nc : 0;
   return PAD + 3 * (1 + r) * kp + 2 * (k3 + PAD) + 9 * kp * 2 + 3 * np * 2 + 2 * np + 3 * np * (3 + r) + 6 * np +
-         2 * (r * 3 * np) + kp + 9 * kp;
+         2 * (r * 3 * np) + kp + 9 * kp + 3 * f->np * (2 + r) + 3 * nc * (5 + r + kp) + 18 * nc;
 }
 
-static inline void work_init(Work* w, double* memory, const Body* b, const double* par, const double* u) {
+static inline void work_init(Work* w, double* memory, const Body* b, const dp_model* model, const Terrain* t,
+                             const Feet* f, const double* u) {
   Arena arena = {(double*)(((size_t)memory + 63) / 64 * 64)};
-  size_t kp = b->kp, np = b->np, r = b->r;
-  w->body = b, w->par = par, w->u = u;
+  size_t kp = b->kp, np = b->np, r = b->r, nc = terrain_parts(t) ? b->nc : 0;
+  w->body = b, w->par = model->par, w->u = u, w->feet = *f, w->terrain = *t;
   Config* all[3] = {&w->now, &w->one, &w->two};
   for (int i = 0; i < 3; i++) all[i]->zeta = take(&arena, (1 + r) * kp), all[i]->dz = all[i]->zeta + kp;
   w->scratch = take(&arena, kinematics_scratch(b)), w->scratch_lagged = take(&arena, kinematics_scratch(b));
@@ -55,11 +67,36 @@ static inline void work_init(Work* w, double* memory, const Body* b, const doubl
   w->D = take(&arena, 6 * np);
   w->Jq = take(&arena, r * 3 * np), w->DJ = take(&arena, r * 3 * np);
   w->gzeta = take(&arena, kp), w->Wg = take(&arena, 9 * kp);
+  w->feet_points = take(&arena, 3 * f->np), w->feet_force = take(&arena, 3 * f->np);
+  w->feet_Jq = take(&arena, r * 3 * f->np);
+  w->touch_before = take(&arena, 3 * nc), w->touch_reference = take(&arena, 3 * nc);
+  w->touch_now = take(&arena, 3 * nc), w->touch_field = take(&arena, kp * 3 * nc);
+  w->touch_points = take(&arena, 3 * nc), w->touch_force = take(&arena, 3 * nc);
+  w->touch_Jq = take(&arena, r * 3 * nc), w->touch_D = take(&arena, 9 * nc), w->touch_F = take(&arena, 9 * nc);
+  w->m = -1, w->reference = NULL, w->friction = t->friction;
 }
-#define WORK(w, b, par, u)              \
-  double memory_of_##w[work_size(b)];   \
-  Work w;                               \
-  work_init(&w, memory_of_##w, b, par, u)
+
+/* A model's parts, checked and counted: the body, what it touches, where given forces act. */
+typedef struct {
+  const dp_model* model;
+  Body body;
+  Terrain terrain;
+  Feet feet;
+  int nu; /* size of an input */
+} Parts;
+
+static inline int parts_view(Parts* p, const dp_model* m) {
+  p->model = m;
+  if (body_view(&p->body, m->body, (size_t)m->body[2])) return 1;
+  if (terrain_view(&p->terrain, m->terrain, m->terrain ? (size_t)m->terrain[0] : 0)) return 1;
+  if (feet_view(&p->feet, &p->body, m->feet, m->feet ? (size_t)m->feet[0] : 0)) return 1;
+  p->nu = p->body.r + 3 * p->feet.n;
+  return 0;
+}
+#define WORK(w, p, u)                                                         \
+  double memory_of_##w[work_size(&(p)->body, &(p)->terrain, &(p)->feet)];      \
+  Work w;                                                                      \
+  work_init(&w, memory_of_##w, &(p)->body, (p)->model, &(p)->terrain, &(p)->feet, u)
 
 /* out (3 x n) = R in, points or vectors as structure of arrays */
 static inline void rotate(const double* R, const double* restrict in, int n, double* restrict out) {
@@ -104,7 +141,25 @@ void work_prepare(Work* w, int derivatives);
 /* Energy, gradient and Hessian at the iterate w->now, in (c, t, q) with R = exp([t]) R_now. */
 void work_assemble(Work* w);
 
+/* --- contact.c */
+/* Where the points that can touch were, after the last configuration is known. */
+void contact_prepare(Work* w);
+/* World positions of those points in configuration cfg (its zeta known), 3 x nc. */
+void contact_positions(const Work* w, const Config* cfg, double* out);
+/* Forces of terrain and feet at the iterate: adds to energy, w->g, the upper w->H, dE/dzeta, and the
+ * sum N of f p^T, as work_assemble needs them; the rest of the Hessian, no longer symmetric, after it
+ * has been mirrored. */
+double forces_evaluate(Work* w, double* N);
+void forces_hessian(Work* w);
+/* What they add to `mixed` in derivatives.c: for a motion along lambda (dz of zeta), the gradients over
+ * the last configuration (out: c and turn; gz: zeta) and over the given forces (gu, may be NULL). */
+void forces_mixed(Work* w, const double* lambda, const double* dz, double* out, double* gz, double* gu);
+
 /* --- linear.c */
+/* LU of A with row pivots, in place; 0 if it is singular; the sign of its determinant in *sign. */
+int lu(double* A, int n, int* pivot, int* sign);
+void lu_solve(const double* LU, const int* pivot, int n, const double* rhs, double* x);
+void lu_solve_transposed(const double* LU, const int* pivot, int n, const double* rhs, double* x);
 /* L of A = L L^T (row-major, lower); 0 if A is not positive definite. */
 int cholesky(const double* A, int n, double* L);
 void cholesky_solve(const double* L, int n, const double* rhs, double* x);

@@ -1,0 +1,143 @@
+"""What a walker stands on: a plane, static geoms, a heightfield, with friction; packed for the kernel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from defplan_mj.body.model import Body
+from defplan_mj.errors import DefplanError
+
+STANDARD_GRAVITY = 9.81
+HEADER, PER_GEOM = 16, 16  # kernel/terrain.c
+TYPES = {"plane": 0, "sphere": 2, "capsule": 3, "ellipsoid": 4, "cylinder": 5, "box": 6}  # mjtGeom
+SIZES = {"plane": 0, "sphere": 1, "capsule": 2, "ellipsoid": 3, "cylinder": 2, "box": 3}
+
+
+@dataclass(frozen=True)
+class TerrainGeom:
+    """A static solid, as in MuJoCo.
+
+    Attributes:
+        shape: 'plane', 'sphere', 'capsule', 'ellipsoid', 'cylinder' or 'box'.
+        size: MuJoCo's sizes, m: radii and half lengths (a plane has none and no end).
+        position: (3,) m.
+        quaternion: (4,) w x y z.
+    """
+
+    shape: str
+    size: tuple[float, ...] = ()
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Heightfield:
+    """Heights on a grid with a cubic spline through them; level beyond its rim, without a slope there.
+
+    Attributes:
+        heights: (rows, columns) m, rows along y and columns along x, from the least x and y on.
+        half_size: half extents along x and y, m.
+        position: (3,) centre, and where height 0 is, m.
+    """
+
+    heights: np.ndarray
+    half_size: tuple[float, float]
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+GROUND = (TerrainGeom("plane"),)
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Static surroundings with contact (docs/kernel.md).
+
+    A surface point whose distance s is less than the thickness d takes the normal force k (d - s)^2,
+    and friction mu f v / sqrt(|v|^2 + e^2) at a tangential velocity v.
+
+    Attributes:
+        geoms: solids; the default is the ground z = 0.
+        heightfield: or None.
+        friction: mu.
+        slip_speed: e, m/s; how fast a point creeps under half the friction's limit is e / sqrt(3).
+        thickness: d, m; None: 1% of the body's length.
+        stiffness: k, N/m^2; None: one point carries the body's weight at distance 0, so that a body
+            at rest on several points stays outside.
+    """
+
+    geoms: tuple[TerrainGeom, ...] = GROUND
+    heightfield: Heightfield | None = None
+    friction: float = 0.8
+    slip_speed: float = 0.01
+    thickness: float | None = None
+    stiffness: float | None = None
+
+
+def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:
+    """Return the kernel's array for contact of `body` with `terrain` (kernel/terrain.c).
+
+    Raises:
+        DefplanError: something about the terrain cannot be.
+    """
+    thickness = 0.01 * body.length if terrain.thickness is None else terrain.thickness
+    if not 0.0 < thickness < np.inf:
+        raise DefplanError(f"the terrain's thickness is {thickness}: it must be positive")
+    weight = body.mass * (abs(body.medium.gravity) or STANDARD_GRAVITY)
+    stiffness = weight / thickness**2 if terrain.stiffness is None else terrain.stiffness
+    for name, value in (("stiffness", stiffness), ("slip_speed", terrain.slip_speed)):
+        if not 0.0 < value < np.inf:
+            raise DefplanError(f"the terrain's {name} is {value}: it must be positive")
+    if not 0.0 <= terrain.friction < np.inf:
+        raise DefplanError(f"the terrain's friction is {terrain.friction}: it must not be negative")
+    header = np.zeros(HEADER)
+    header[1:6] = terrain.friction, stiffness, thickness, terrain.slip_speed, len(terrain.geoms)
+    parts = [header, *(_pack_geom(geom) for geom in terrain.geoms)]
+    field = terrain.heightfield
+    if field is not None:
+        heights = np.asarray(field.heights, float)
+        if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():
+            raise DefplanError("a heightfield's heights must be numbers on a grid of 2 x 2 or more")
+        if not min(field.half_size) > 0.0:
+            raise DefplanError(f"a heightfield's half_size is {field.half_size}: it must be positive")
+        header[6:8] = heights.shape
+        header[8:11] = field.position
+        header[11:13] = field.half_size
+        coefficients = ndimage.spline_filter(heights, order=3, mode="mirror")
+        header[13] = coefficients.max()  # no spline is above its largest coefficient
+        parts.append(coefficients.ravel())
+    packed = np.concatenate(parts)
+    packed[0] = packed.size
+    return packed
+
+
+def _pack_geom(geom: TerrainGeom) -> np.ndarray:
+    if geom.shape not in TYPES:
+        known = ", ".join(TYPES)
+        raise DefplanError(f"the terrain has a geom of shape '{geom.shape}': it can be {known}")
+    count = SIZES[geom.shape]
+    if len(geom.size) < count or not all(s > 0.0 for s in geom.size[:count]):
+        raise DefplanError(
+            f"a {geom.shape} of the terrain has size {geom.size}: {count} positive numbers are wanted"
+        )
+    size = np.zeros(3)
+    size[:count] = geom.size[:count]
+    return np.concatenate([[TYPES[geom.shape]], size, geom.position, _matrix(geom.quaternion)])
+
+
+def _matrix(quaternion: tuple[float, float, float, float]) -> np.ndarray:
+    """Return the rotation matrix (9,), row-major."""
+    q = np.asarray(quaternion, float)
+    norm = np.linalg.norm(q)
+    if not norm > 0.0:
+        raise DefplanError("a geom of the terrain has a quaternion of zeros")
+    w, x, y, z = q / norm
+    return np.array(
+        [
+            *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        ]
+    )

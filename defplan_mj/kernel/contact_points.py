@@ -1,0 +1,68 @@
+"""Choose the points of a body's surface that can touch the terrain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from defplan_mj.body.model import Body
+
+COUNT = 192  # at most
+EXTREMAL = 160  # of them corners of the deformed body's convex hull
+_SHAPES, _DIRECTIONS = 48, 400
+_SEED = 0
+
+
+def sphere_directions(count: int) -> np.ndarray:
+    """Return unit vectors (count, 3), evenly spread (a Fibonacci spiral)."""
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    rho = np.sqrt(1.0 - z * z)
+    return np.stack([rho * np.cos(angle), rho * np.sin(angle), z], axis=1)
+
+
+def contact_points(body: Body) -> np.ndarray:
+    """Return indices (n,) into `body.surface` of at most 192 points; the same every time.
+
+    What a flat ground touches first is a corner of the convex hull, whatever the attitude. For many
+    shapes up to the amplitude and many directions it is known how far the surface reaches; points
+    are added where the chosen ones fall shortest of it, so that the least of the body sinks into
+    the ground. The last 32 are spread over the surface, for ground that is not flat.
+    """
+    surface = body.vertices[body.surface]
+    if len(surface) <= COUNT:
+        return np.arange(len(surface))
+    basis, generator = body.basis[body.surface], np.random.default_rng(_SEED)
+    shapes = np.tile(surface, (_SHAPES, 1, 1))
+    for shape in shapes[1:]:
+        q = generator.uniform(-1.0, 1.0, body.n_modes) * generator.uniform() * body.amplitude
+        shape += basis @ shape_coordinates(body, q)
+    directions = sphere_directions(_DIRECTIONS)
+    heights = [shape @ directions.T for shape in shapes]
+    extreme = np.array([height.argmax(0) for height in heights])  # (shapes, directions)
+    reach = np.array([height.max(0) for height in heights])
+    covered, chosen = np.full_like(reach, -np.inf), []
+    while len(chosen) < EXTREMAL:
+        short = reach - covered
+        if not short.max() > 0.0:
+            break
+        chosen.append(int(extreme.flat[np.argmax(short)]))
+        covered = np.maximum(covered, shapes[:, chosen[-1]] @ directions.T)
+    nearest = np.min([((surface - surface[i]) ** 2).sum(1) for i in chosen], axis=0)
+    while len(chosen) < COUNT:
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, ((surface - surface[chosen[-1]]) ** 2).sum(1))
+    return np.sort(np.array(chosen))
+
+
+def shape_coordinates(body: Body, q: np.ndarray) -> np.ndarray:
+    """Return z(q) (k,): the displacement of shape q is basis z (docs/kernel.md)."""
+    x = body.feature_map @ q
+    angle = np.linalg.norm(x[:, :3], axis=1)
+    w = np.zeros((len(x), 3, 3))
+    w[:, 2, 1], w[:, 0, 2], w[:, 1, 0] = x[:, 0], x[:, 1], x[:, 2]
+    w -= w.transpose(0, 2, 1)
+    a, b = np.sinc(angle / np.pi), 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    rotation = np.eye(3) + a[:, None, None] * w + b[:, None, None] * (w @ w)
+    strain = x[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
+    features = rotation @ (np.eye(3) + strain) - np.eye(3)
+    return body.feature_weights @ features.ravel()
