@@ -123,9 +123,9 @@ def test_any_memory_layout_and_number_type_gives_the_same_rollout(dynamics):
     ("call", "sentence"),
     [
         (lambda d, x: d.step(x[:-1], np.zeros(5)), "the state has shape"),
-        (lambda d, x: d.step(x, np.zeros(4)), "the target shape has shape"),
-        (lambda d, x: d.rollout(x, np.zeros((3, 4))), "target shapes have shape"),
-        (lambda d, x: d.rollout(x, np.zeros(5)), "target shapes have shape"),
+        (lambda d, x: d.step(x, np.zeros(4)), "the input has shape"),
+        (lambda d, x: d.rollout(x, np.zeros((3, 4))), "the inputs have shape"),
+        (lambda d, x: d.rollout(x, np.zeros(5)), "the inputs have shape"),
         (lambda d, x: d.step_adjoint(x, np.zeros(5), x, np.zeros(3)), "the state has shape"),
     ],
 )

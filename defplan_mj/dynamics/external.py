@@ -74,7 +74,9 @@ class CasadiDynamics:
         x, u = casadi.MX.sym("x", dynamics.nx), casadi.MX.sym("u", dynamics.body.n_modes)
         forces = casadi.MX.sym("forces", 3, len(dynamics.feet or ()))
         out = step(x, casadi.vertcat(u, casadi.vec(forces)))
-        return casadi.Function("step_forced", [x, u, forces], [out], ["x", "u", "forces"], ["x_next"])
+        return casadi.Function(
+            "step_forced", [x, u, forces], [out], ["x", "u", "forces"], ["x_next"]
+        )
 
     def rollout(self, n: int) -> casadi.Function:
         """Return (x0: nx, u: nu x n) -> x: nx x n, the states after each step, with adjoint."""

@@ -51,7 +51,9 @@ def lowest_feet(body: Body, height: float = 0.05) -> Feet:
             for v in (int(a), int(b)):
                 if label[v] != least:
                     label[v], changed = least, True
-    groups = [np.array([v for v in label if label[v] == name]) for name in sorted(set(label.values()))]
+    groups = [
+        np.array([v for v in label if label[v] == name]) for name in sorted(set(label.values()))
+    ]
     centres = np.array([body.vertices[group].mean(0) for group in groups])
     # front to back, left to right: an order that does not depend on the mesh
     order = np.lexsort((-centres[:, 1].round(6), -centres[:, 0].round(6)))

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from defplan_mj.body.model import Body
-from defplan_mj.errors import DefplanError
 from defplan_mj.dynamics.feet import Feet, pack_feet
 from defplan_mj.dynamics.terrain import Terrain, pack_terrain
+from defplan_mj.errors import DefplanError
 from defplan_mj.kernel.library import Info, Model, kernel
 from defplan_mj.kernel.pack import pack_body, pack_options
 
@@ -129,16 +129,13 @@ class ReducedDynamics:
 
     def _height(self) -> float:
         """Return the height at which the undeformed body just touches the terrain."""
-        packed = self.model.arrays[2]
-        points, normal = self.body.vertices[self.body.surface], np.empty(3)
+        x, n = self._undeformed(), int(self.blob[10])
+        points, forces, gaps = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
         low, high = -1e3, 1e3
         for _ in range(60):
-            middle = 0.5 * (low + high)
-            gaps = [
-                self._lib.dp_terrain_gap(packed, point + [0.0, 0.0, middle], normal)
-                for point in points
-            ]
-            low, high = (low, middle) if min(gaps) > 0.0 else (middle, high)
+            x[2] = 0.5 * (low + high)
+            self._lib.dp_contacts(self.model, x, points, forces, gaps)
+            low, high = (low, x[2]) if gaps.min() > 0.0 else (x[2], high)
         return high
 
     def step(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -224,7 +221,9 @@ class ReducedDynamics:
     def surface(self, x: np.ndarray) -> np.ndarray:
         """Return the world positions (n_s, 3) of the body's surface vertices, m."""
         points = np.empty((len(self.body.surface), 3))
-        self._lib.dp_surface(self.blob, np.ascontiguousarray(x[: 7 + self.body.n_modes], np.float64), points)
+        self._lib.dp_surface(
+            self.blob, np.ascontiguousarray(x[: 7 + self.body.n_modes], np.float64), points
+        )
         return points
 
     def contacts(self, x: np.ndarray) -> Contacts:

@@ -101,7 +101,9 @@ def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:
         if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():
             raise DefplanError("a heightfield's heights must be numbers on a grid of 2 x 2 or more")
         if not min(field.half_size) > 0.0:
-            raise DefplanError(f"a heightfield's half_size is {field.half_size}: it must be positive")
+            raise DefplanError(
+                f"a heightfield's half_size is {field.half_size}: it must be positive"
+            )
         header[6:8] = heights.shape
         header[8:11] = field.position
         header[11:13] = field.half_size

@@ -8,7 +8,7 @@ from defplan_mj.body.model import Body
 
 COUNT = 192  # at most
 EXTREMAL = 160  # of them corners of the deformed body's convex hull
-_SHAPES, _DIRECTIONS = 48, 400
+_SHAPES, _DIRECTIONS = 24, 256
 _SEED = 0
 
 
@@ -40,7 +40,8 @@ def contact_points(body: Body) -> np.ndarray:
     heights = [shape @ directions.T for shape in shapes]
     extreme = np.array([height.argmax(0) for height in heights])  # (shapes, directions)
     reach = np.array([height.max(0) for height in heights])
-    covered, chosen = np.full_like(reach, -np.inf), []
+    chosen: list[int] = []
+    covered = np.full_like(reach, -np.inf)
     while len(chosen) < EXTREMAL:
         short = reach - covered
         if not short.max() > 0.0:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from defplan_mj.body.model import Body
-from defplan_mj.kernel.contact_points import contact_points
 from defplan_mj.errors import DefplanError
+from defplan_mj.kernel.contact_points import contact_points
 
 MAGIC, VERSION, HEADER, PAD = 20181018.0, 2.0, 16, 8
 LIMITS = {"modes": 16, "basis": 64, "samples": 40, "patches": 512}  # kernel.h
@@ -60,6 +60,7 @@ def pack_body(body: Body) -> np.ndarray:
     surface = np.concatenate(
         [body.vertices[body.surface][:, :, None], body.basis[body.surface]], axis=2
     )
+    contacts = contact_points(body)
     sections = [
         _pad(body.stiffness, 0),
         _pad(body.feature_map.transpose(1, 2, 0), 2),
@@ -72,13 +73,13 @@ def pack_body(body: Body) -> np.ndarray:
         pack_field(body.patch_tangents[1]),
         _pad(body.patch_areas, 0),
         pack_field(surface),
-        pack_field(surface[contact_points(body)]),
+        pack_field(surface[contacts]),
     ]
     header = np.zeros(HEADER)
     radius = np.linalg.norm(body.vertices, axis=1).max()
     header[:11] = (
         *(MAGIC, VERSION, HEADER + sum(s.size for s in sections), r, body.n_basis, n_samples),
-        *(len(body.patch_areas), len(body.surface), body.mass, radius, len(contact_points(body))),
+        *(len(body.patch_areas), len(body.surface), body.mass, radius, len(contacts)),
     )
     return np.concatenate([header, *(np.ascontiguousarray(s).ravel() for s in sections)])
 
