@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from defplan_mj import threads
+from defplan_mj import registry, threads
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.reduced import ReducedDynamics
@@ -192,6 +192,9 @@ def bench(
     iterations = np.mean([dynamics.step_info(x, u)[1].iterations
                           for x, u in zip(states[:500], shapes[:500], strict=False)])  # fmt: skip
 
+    progress("bench: feedback", 0.08)
+    decision = _decisions(dynamics, gait, spec.navigation.space, 40 // few + 2)
+
     progress("bench: two threads", 0.1)
     speed_up = two_thread_speed_up(dynamics, states[0], shapes[:1100], 20 // few + 2)
 
@@ -225,6 +228,11 @@ def bench(
         "newton_iterations": round(float(iterations), 2),
         "rollout_two_thread_speed_up": round(speed_up, 2),
         "adjoint_step_us": adjoint.scaled(1e-6),
+        "feedback_decision_us": {key: times.scaled(1e-6, 0) for key, times in decision.items()},
+        "feedback_real_time_factor": {
+            key: round(spec.timestep / (times.median + step.median), 1)
+            for key, times in decision.items()
+        },
         "clearance_us": round(clearance.median * 1e6, 1),
         "environment_step_us": cycle.scaled(1e-6 * per_cycle, 1),
         "environment_real_time_factor": round(gait.cycle_seconds / cycle.median, 1),
@@ -259,6 +267,25 @@ def two_thread_speed_up(
     with ThreadPoolExecutor(1) as one, ThreadPoolExecutor(2) as two:
         batch(one), batch(two)
         return float(np.median([batch(one) / batch(two) for _ in range(repeats)]))
+
+
+def _decisions(dynamics: ReducedDynamics, gait: Gait, space: str, cycles: int) -> dict[str, Timing]:
+    """Time what each installed feedback takes to choose a target shape, along cycles from rest."""
+    found = {}
+    for entry in registry.solvers("feedback"):
+        if entry.error or entry.name == "none":
+            continue
+        feedback, x = entry.value.prepare(dynamics, gait, space), dynamics.rest_state()
+        samples = np.empty(cycles * gait.steps_per_cycle)
+        for i in range(len(samples)):
+            if i % gait.steps_per_cycle == 0:
+                feedback.begin(0, x)
+            start = time.perf_counter()
+            shape = feedback.shape(x)
+            samples[i] = time.perf_counter() - start
+            x = dynamics.step(x, shape)
+        found[entry.name] = Timing(samples)
+    return found
 
 
 def _environment(spec: TaskSpec, body: Body, gait: Gait, scene: Scene) -> Any:

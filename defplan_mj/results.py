@@ -11,7 +11,11 @@ from defplan_mj.run import GAIT_FILE, STAGES, Run
 
 def run_results(run: Run) -> dict[str, Any]:
     """Do everything that is not done yet; return what `defplan run --json` prints."""
-    _ = run.gait_solver, run.planner_solver  # a wrong name is told before the work, not after
+    _ = (
+        run.gait_solver,
+        run.planner_solver,
+        run.feedback_solver,
+    )  # a wrong name is told before the work, not after
     gait = gait_results(run)
     compare_solvers(run)
     surrogate = surrogate_results(run)

@@ -37,6 +37,7 @@ TRAINING_VERSION = 1
 CONFIGURATION = (
     "gait_solver",
     "planner",
+    "feedback",
     "rivals",
     "solver_seeds",
     "pairs",
@@ -52,7 +53,7 @@ class RunOptions:
 
     Attributes:
         seed: of everything random.
-        gait_solver, planner: plugins by name (None: the task's).
+        gait_solver, planner, feedback: plugins by name (None: the task's).
         rivals: gait solvers that the report compares with (none: ('none',); None: the task's).
         solver_seeds: with how many seeds they are compared.
         pairs: (before, after) pairs a gait that the surrogate is fitted to.
@@ -65,6 +66,7 @@ class RunOptions:
     seed: int = 0
     gait_solver: str | None = None
     planner: str | None = None
+    feedback: str | None = None
     rivals: Sequence[str] | None = None
     solver_seeds: int = 1
     pairs: int = 1000
@@ -107,6 +109,11 @@ class Run:
     def planner_solver(self) -> Any:
         """The planner plugin."""
         return registry.get_solver(self.options.planner or self.spec.planner, "planner")
+
+    @cached_property
+    def feedback_solver(self) -> Any:
+        """The feedback plugin."""
+        return registry.get_solver(self.options.feedback or self.spec.feedback, "feedback")
 
     # ---- the stages
 
@@ -308,6 +315,7 @@ class Run:
             "surrogate": self.hashes["surrogate.npz"],
             "policy": self.hashes[self.policy.name],
             "planner": self.planner_solver.name,
+            "feedback": self.feedback_solver.name,
             "navigation": dataclasses.asdict(self.spec.navigation),
             "seed": self.options.seed,
         }
@@ -388,8 +396,8 @@ def open_run(
     options = RunOptions(seed=seed, **{**kept, **given})
     config = {"task": spec.name, "seed": seed}
     config |= {name: getattr(options, name) for name in CONFIGURATION}
-    if not whole:  # a planner that is tried beside the run's own does not take its place
-        config["planner"] = kept.get("planner")
+    if not whole:  # what is tried beside the run's own does not take its place
+        config |= {name: kept.get(name) for name in ("planner", "feedback")}
     with RunFolder(path, config, fresh) as folder:
         yield Run(spec, folder, options, progress)
 

@@ -170,7 +170,7 @@ class TaskSpec:
         axis: the body's own axis, a unit vector of its frame: where it heads, and what a turn in
             space is about to tilt.
         navigation: the second stage.
-        gait_solver, planner: default plugins, by name.
+        gait_solver, planner, feedback: default plugins, by name.
         rivals: gait solvers that the report compares with, if they are installed.
         paper: the paper's figures for this example (Tables I to III), for the report.
     """
@@ -188,5 +188,6 @@ class TaskSpec:
     navigation: Navigation = Navigation()
     gait_solver: str = "shooting"
     planner: str = "dql"
+    feedback: str = "none"
     rivals: tuple[str, ...] = ("alternating",)  # the paper's scheme
     paper: dict = field(default_factory=dict)

@@ -88,6 +88,7 @@ def evaluate(
         "task": run.spec.name,
         "seed": seed,
         "planner": run.planner_solver.name,
+        "feedback": run.feedback_solver.name,
         "shield": shield,
         "navigation": dataclasses.asdict(navigation),
     }
@@ -101,6 +102,7 @@ def evaluate(
         planner,
         chosen,
         shield=shield,
+        feedback=run.feedback_solver,
         recorder=log,
         context=context,
         progress=lambda _, fraction: progress(message, fraction),
@@ -126,4 +128,7 @@ def environment(run: Run, obstacles: int | None = None) -> Environment:
     def sampler(random: np.random.RandomState) -> Scene:
         return novel_scenes(navigation, 1, int(random.randint(2**31)), obstacles)[0]
 
-    return navigation_environment(run.body, run.gait, navigation, sampler, random=run.options.seed)
+    feedback = run.feedback_solver.prepare(run.dynamics, run.gait, navigation.space)
+    return navigation_environment(
+        run.body, run.gait, navigation, sampler, feedback=feedback, random=run.options.seed
+    )

@@ -10,6 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from defplan_mj.body.model import Body, Material, Medium
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.poses import predict, quaternion, rotation_matrix, space_of
 from defplan_mj.log.recorder import Recorder, RunFiles
@@ -279,14 +281,25 @@ def swimming_gait(body: Body) -> Gait:
     )
 
 
-def record_swim(path: Path, files: RunFiles, cycles: int = 6, scene: Scene | None = None) -> None:
+def record_swim(
+    path: Path,
+    files: RunFiles,
+    cycles: int = 6,
+    scene: Scene | None = None,
+    feedback: FeedbackSolver | None = None,
+) -> None:
     """Log an episode of the navigation environment, with gaits drawn at random."""
     from defplan_mj.host.navigation import navigation_environment
     from defplan_mj.task import Navigation
 
     scene = scene or sample_scene(speed=0.1)
     navigation, gaits = Navigation(laser_range=8.0, space=space_of(scene)), len(files.gait.alpha)
-    env = navigation_environment(files.body, files.gait, navigation, lambda random: scene)
+    plays = None
+    if feedback is not None:
+        plays = feedback.prepare(ReducedDynamics(files.body, TIMESTEP), files.gait)
+    env = navigation_environment(
+        files.body, files.gait, navigation, lambda random: scene, feedback=plays
+    )
     rng = np.random.default_rng(5)
     with Recorder(path, files) as recorder:
         env.task.step_hook = lambda physics, shape: recorder.step(
@@ -294,6 +307,7 @@ def record_swim(path: Path, files: RunFiles, cycles: int = 6, scene: Scene | Non
         )
         timestep = env.reset()
         context = {"task": "pebble-swim", "seed": 5, "timestep": TIMESTEP, "navigation": navigation}
+        context["feedback"] = "none" if feedback is None else feedback.name
         recorder.begin({**context, "state": env.physics.reduced_state()}, scene)
         for cycle in range(cycles):
             time, x = env.physics.time(), env.physics.reduced_state()

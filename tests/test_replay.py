@@ -15,6 +15,7 @@ from log_samples import (
     tumbling_gait,
 )
 
+from defplan_mj import registry
 from defplan_mj.errors import DefplanError
 from defplan_mj.log.poses import rotation_matrix
 from defplan_mj.log.reader import read_log
@@ -59,6 +60,17 @@ def test_a_spatial_log_replays_to_the_bit_laser_and_all(tmp_path):
     assert result.simulators == ("kernel", "mujoco") and result.largest == 0
     result = replay_log(replace(log, laser=flip(log.laser, 3, 5)))
     assert (result.difference.quantity, result.difference.label) == ("laser", "beam 5")
+
+
+def test_a_log_with_feedback_replays_its_target_shapes_to_the_bit(path, tmp_path):
+    solver = registry.get_solver("ilqg", "feedback")
+    body = swimming_body(tmp_path)
+    record_swim(tmp_path / "fed.mcap", RunFiles.of(body, swimming_gait(body)), 3, feedback=solver)
+    log = read_log(tmp_path / "fed.mcap")
+    assert not (log.target_shapes == read_log(path).target_shapes[: len(log.target_shapes)]).all()
+    result = replay_log(log)
+    assert result.identical, result.sentence()
+    assert result.simulators == ("kernel", "mujoco") and result.steps == 33
 
 
 def test_the_body_did_move(path):

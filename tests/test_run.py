@@ -18,6 +18,7 @@ from defplan_mj.body.build import build_body
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import read_log
+from defplan_mj.log.replay import replay_log
 from defplan_mj.planning.evaluation import OUTCOMES
 from defplan_mj.planning.planner import TrainResult
 from defplan_mj.results import run_results
@@ -149,6 +150,7 @@ def setting(tmp_path, monkeypatch, body):
     wave, stubborn = Wave(), Stubborn()
     plugins = {"wave": wave, "rival": Wave("rival"), "lame": Lame("lame")}
     plugins |= {"stubborn": stubborn, "other": stubborn}
+    plugins |= {name: registry.get_solver(name, "feedback") for name in ("none", "ilqg")}
     monkeypatch.setattr(registry, "get_solver", lambda name, kind: plugins[name])
     monkeypatch.setattr(registry, "get_task", lambda name: spec)
     monkeypatch.setattr("defplan_mj.body.build.build_body", lambda *_: body)
@@ -275,6 +277,18 @@ def test_episodes_among_moving_obstacles_are_counted_at_every_speed(setting, sho
     json.dumps(results, allow_nan=False)
     assert setting.run(moving=2)[0]["moving"] == results["moving"]
     assert setting.run()[0]["moving"] == []
+
+
+def test_a_feedback_changes_the_episodes_and_nothing_before_them(setting, short_report):
+    before, _ = setting.run()
+    opened = read_log(before["files"]["log"])
+    results, made = setting.run(feedback="ilqg")
+    assert made == (0, 0)
+    shapes = [log.target_shapes for log in (opened, read_log(results["files"]["log"]))]
+    n = min(map(len, shapes))
+    assert np.abs(shapes[0][:n] - shapes[1][:n]).max() > 1e-3
+    assert results["gait"] == before["gait"] and results["surrogate"] == before["surrogate"]
+    assert replay_log(results["files"]["log"]).identical
 
 
 def test_fresh_makes_everything_anew_with_the_same_result(setting, short_report):

@@ -71,6 +71,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     chosen = {
         "gait_solver": arguments.gait_solver,
         "planner": arguments.planner,
+        "feedback": arguments.feedback,
         "rivals": arguments.rival,
         "solver_seeds": arguments.solver_seeds,
         "moving": arguments.moving,
@@ -131,7 +132,8 @@ def evaluate(arguments: argparse.Namespace, console: Console) -> int:
     log = None
     if arguments.log is not None:
         log = Recorders(arguments.log, arguments.scenes, 10**9)
-    with _stage(arguments, console, "evaluation", planner=arguments.planner) as run:
+    chosen = {"planner": arguments.planner, "feedback": arguments.feedback}
+    with _stage(arguments, console, "evaluation", **chosen) as run:
         result = try_planner(
             run,
             arguments.scenes,
@@ -145,6 +147,7 @@ def evaluate(arguments: argparse.Namespace, console: Console) -> int:
         "task": arguments.task,
         "seed": arguments.seed,
         "planner": run.planner_solver.name,
+        "feedback": run.feedback_solver.name,
         "shield": arguments.shield,
         "scenes": arguments.scenes,
         **without_rows(result),
@@ -203,7 +206,8 @@ def view(arguments: argparse.Namespace, console: Console) -> int:
     from defplan_mj.host.viewer import require_display, view
 
     require_display()  # before any work
-    with _stage(arguments, console, "view", planner=arguments.planner) as run:
+    chosen = {"planner": arguments.planner, "feedback": arguments.feedback}
+    with _stage(arguments, console, "view", **chosen) as run:
         environment = trial.environment(run, arguments.obstacles)
         planner = trial.steering(run, arguments.shield)
     outcomes = view(environment, lambda step: int(planner.values(step.observation).argmax()))

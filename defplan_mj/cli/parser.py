@@ -86,6 +86,7 @@ def _run(sub: argparse.ArgumentParser) -> None:
     _stage(sub)
     sub.add_argument("--gait-solver", metavar="NAME", help="(default: the task's)")
     sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
+    _feedback(sub)
     sub.add_argument(
         "--rival",
         metavar="NAME",
@@ -158,6 +159,7 @@ def _planner(sub: argparse.ArgumentParser) -> None:
 def _evaluate(sub: argparse.ArgumentParser) -> None:
     _task(sub)
     sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
+    _feedback(sub)
     sub.add_argument(
         "--shield",
         action=argparse.BooleanOptionalAction,
@@ -213,12 +215,17 @@ def _replay(sub: argparse.ArgumentParser) -> None:
 def _view(sub: argparse.ArgumentParser) -> None:
     _task(sub)
     sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
+    _feedback(sub)
     sub.add_argument(
         "--shield", action=argparse.BooleanOptionalAction, default=True, help="(default: with it)"
     )
     sub.add_argument("--obstacles", type=_natural, metavar="N", help="on the way to the target")
     _stage(sub)
     _common(sub)
+
+
+def _feedback(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--feedback", metavar="NAME", help="none, ilqg (default: the run's or task's)")
 
 
 def _task(sub: argparse.ArgumentParser) -> None:

@@ -100,6 +100,10 @@ def bench_text(data: dict[str, Any]) -> str:
         ["reduced step", f"{step['median']:.1f} µs", f"{step['p99']:.1f} µs"],
         ["  in a rollout, per step", f"{data['rollout_step_us']:.1f} µs", ""],
         ["  its adjoint", f"{adjoint['median']:.1f} µs", f"{adjoint['p99']:.1f} µs"],
+        *(
+            [f"feedback {name}, per step", f"{time['median']:.0f} µs", f"{time['p99']:.0f} µs"]
+            for name, time in data["feedback_decision_us"].items()
+        ),
         ["full FEM step (f)", f"{data['full_fem_step_ms']:.0f} ms", ""],
         ["MuJoCo flex step, full", f"{flex['full']:.2f} ms", ""],
         ["MuJoCo flex step, trilinear", f"{flex['trilinear']:.2f} ms", ""],

@@ -12,6 +12,7 @@ from dm_env import specs
 
 from defplan_mj.body.model import Body
 from defplan_mj.errors import DefplanError
+from defplan_mj.feedback import Feedback, OpenLoop
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.obstacles import SHAPE_OF, space_of
 from defplan_mj.host.physics import Physics
@@ -50,6 +51,7 @@ class Navigate(base.Task):
         sampler: SceneSampler,
         *,
         scene: Scene | None = None,
+        feedback: Feedback | None = None,
         time_limit: float = float("inf"),
         random: np.random.RandomState | int | None = None,
     ):
@@ -59,6 +61,7 @@ class Navigate(base.Task):
             gait: its tasks are the actions.
             sampler: draws the scene of an episode; not used once `scene` is set.
             scene: keep to this one.
+            feedback: plays the gaits; None: as they are, in open loop.
             time_limit: s, ends the episode as a timeout.
             random: generator or seed of the sampler.
         """
@@ -68,7 +71,7 @@ class Navigate(base.Task):
         self.cycles = 0
         self.closest = 1.0
         self.step_hook: StepHook | None = None
-        self._table = gait.table()
+        self._feedback = OpenLoop(gait) if feedback is None else feedback
         self._sampler = sampler
         self._fixed = scene
         self._scene = scene
@@ -96,6 +99,7 @@ class Navigate(base.Task):
         state = np.zeros(13 + 2 * physics.n_modes)
         state[3:7] = self._scene.orientation
         physics.set_reduced_state(state)
+        self._feedback.reset()
         self.outcome = "running"
         self.cycles = 0
         self.closest = 1.0
@@ -103,7 +107,7 @@ class Navigate(base.Task):
 
     def action_spec(self, physics: Physics) -> specs.DiscreteArray:
         """Return the choice among the gait's tasks."""
-        return specs.DiscreteArray(len(self._table), name="gait")
+        return specs.DiscreteArray(len(self.gait.task_names), name="gait")
 
     def before_step(self, action: int, physics: Physics) -> None:
         """Make the coming physics steps one cycle of gait `action`.
@@ -112,14 +116,15 @@ class Navigate(base.Task):
             DefplanError: there is no such gait.
         """
         index = int(np.asarray(action).item())
-        if not 0 <= index < len(self._table):
+        if not 0 <= index < len(self.gait.task_names):
             raise DefplanError(
-                f"there is no gait {index}: the actions are 0 to {len(self._table) - 1}"
+                f"there is no gait {index}: the actions are 0 to {len(self.gait.task_names) - 1}"
                 f" ({', '.join(self.gait.task_names)})"
             )
         self.cycles += 1
         self._before = physics.com()
-        physics.follow(self._table[index], self._after_physics_step)
+        self._feedback.begin(index, physics.reduced_state())
+        physics.follow(self._feedback.shape, self._after_physics_step)
 
     def _after_physics_step(self, physics: Physics, target_shape: np.ndarray) -> bool:
         """Check for collision and success; true ends the cycle here."""
@@ -231,6 +236,7 @@ def navigation_environment(
     sampler: SceneSampler,
     *,
     scene: Scene | None = None,
+    feedback: Feedback | None = None,
     time_limit: float = float("inf"),
     random: np.random.RandomState | int | None = None,
     max_obstacles: int = 32,
@@ -242,6 +248,7 @@ def navigation_environment(
         navigation: the space, beams and range of the laser, goal and limits of sampled scenes.
         sampler: draws scenes with the task's generator.
         scene: keep to this one; later ones are set as `env.task.scene`.
+        feedback: prepared for this gait; None: open loop.
         time_limit: s; a scene's own max_cycles holds anyway.
         max_obstacles: room for the obstacles of a scene.
 
@@ -268,7 +275,9 @@ def navigation_environment(
         space=navigation.space,
         texture=texture_of(body),
     )
-    task = Navigate(gait, sampler, scene=scene, time_limit=time_limit, random=random)
+    task = Navigate(
+        gait, sampler, scene=scene, feedback=feedback, time_limit=time_limit, random=random
+    )
     return control.Environment(
         Physics.from_mjmodel(compile_model(spec)),
         task,

@@ -28,7 +28,7 @@ class Physics(engine.Physics):
     The robot is the model's first body, so its state is the first 7 + r of qpos, 6 + r of qvel.
     """
 
-    _shapes: np.ndarray | None = None
+    _shape_of: Callable[[np.ndarray], np.ndarray] | None = None
     _after: Callable[[Physics, np.ndarray], bool] | None = None
 
     @classmethod
@@ -164,24 +164,27 @@ class Physics(engine.Physics):
         set_scene(self.model.ptr, self.data.ptr, scene)
 
     def follow(
-        self, target_shapes: np.ndarray, after: Callable[[Physics, np.ndarray], bool]
+        self,
+        shape_of: Callable[[np.ndarray], np.ndarray],
+        after: Callable[[Physics, np.ndarray], bool],
     ) -> None:
-        """Make the next `step(n)` set control i before its physics step i.
+        """Make the next `step(n)` ask for a control before each of its physics steps.
 
         Args:
-            target_shapes: (n, r) controls.
+            shape_of: called with the reduced state, returns the control (r,).
             after: called after each physics step with the control; true ends the `step` early.
         """
-        self._shapes, self._after = target_shapes, after
+        self._shape_of, self._after = shape_of, after
 
     def step(self, nstep: int = 1) -> None:
-        """Advance by `nstep` physics steps, along the target shapes of `follow` if there are."""
-        shapes, after = self._shapes, self._after
-        self._shapes = self._after = None
-        if shapes is None or after is None:
+        """Advance by `nstep` physics steps, with the controls of `follow` if there are."""
+        shape_of, after = self._shape_of, self._after
+        self._shape_of = self._after = None
+        if shape_of is None or after is None:
             super().step(nstep)
             return
-        for shape in shapes[:nstep]:
+        for _ in range(nstep):
+            shape = shape_of(self.reduced_state())
             self.set_control(shape)
             super().step()
             if after(self, shape):

@@ -97,8 +97,9 @@ def replay_log(path: str | Path | EpisodeLog, progress: Progress = no_progress) 
     """Simulate a log again and compare every state to the bit.
 
     The kernel repeats the logged target shapes from the logged start. If the log holds its gait,
-    MuJoCo also repeats the episode in the logged scene from the chosen gaits alone, and distances
-    to obstacles, laser scans and rewards are compared as well.
+    MuJoCo also repeats the episode in the logged scene from the chosen gaits alone (from the logged
+    target shapes, if there was feedback), and distances to obstacles, laser scans and rewards are
+    compared as well.
 
     Raises:
         DefplanError: the log cannot be read, or holds no body.
@@ -132,6 +133,7 @@ def replay_log(path: str | Path | EpisodeLog, progress: Progress = no_progress) 
 
 def _in_mujoco(log: EpisodeLog, progress: Progress) -> dict[str, np.ndarray]:
     """Run the episode again in the navigation environment; return what it measures."""
+    from defplan_mj.feedback import Recorded
     from defplan_mj.host.navigation import navigation_environment
     from defplan_mj.host.physics import Physics
 
@@ -141,8 +143,14 @@ def _in_mujoco(log: EpisodeLog, progress: Progress) -> dict[str, np.ndarray]:
         laser_range=float(told.get("laser_range", Navigation().laser_range)),
         space=log.space,
     )
+    open_loop = log.configuration.get("feedback", "none") == "none"
     env = navigation_environment(
-        log.body, log.gait, navigation, lambda random: log.scene, scene=log.scene
+        log.body,
+        log.gait,
+        navigation,
+        lambda random: log.scene,
+        scene=log.scene,
+        feedback=None if open_loop else Recorded(log.target_shapes),
     )
     states: list[np.ndarray] = []
     clearances: list[float] = []

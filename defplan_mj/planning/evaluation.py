@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from dm_control.rl.control import Environment
 
     from defplan_mj.body.model import Body
+    from defplan_mj.feedback import FeedbackSolver
     from defplan_mj.gait.gait import Gait
     from defplan_mj.planning.surrogate import Surrogate
 
@@ -206,6 +207,7 @@ def evaluate(
     scenes: Sequence[Scene],
     *,
     shield: bool = True,
+    feedback: FeedbackSolver | None = None,
     recorder: RecorderFactory | None = None,
     context: Mapping[str, Any] | None = None,
     workers: int | None = None,
@@ -216,6 +218,7 @@ def evaluate(
     Args:
         planner: picklable.
         shield: wrap the planner in the safety shield.
+        feedback: picklable, plays the gaits; None: open loop.
         recorder: gives the recorders of those episodes that are to be logged.
         context: of the logs.
         workers: processes (default: one for each core, at most 2, and 1 for a few episodes).
@@ -223,7 +226,9 @@ def evaluate(
     pilot: Planner = Shield(planner, surrogate, navigation) if shield else planner
     if workers is None:
         workers = min(threads.available_cores(), 2) if len(scenes) >= PARALLEL_FROM else 1
-    run = functools.partial(_run_share, body, gait, navigation, pilot, recorder, context)
+    run = functools.partial(
+        _run_share, (body, gait, navigation, feedback), pilot, recorder, context
+    )
     numbered = list(enumerate(scenes))
     pieces = 1 if workers == 1 else 8 * workers
     shares = [numbered[i::pieces] for i in range(pieces) if numbered[i::pieces]]
@@ -256,16 +261,14 @@ def _as_list(run: Callable[[_Share], Iterator[Episode]], share: _Share) -> Any:
 
 
 def _run_share(
-    body: Body,
-    gait: Gait,
-    navigation: Navigation,
+    robot: tuple[Body, Gait, Navigation, FeedbackSolver | None],
     pilot: Planner,
     recorder: RecorderFactory | None,
     context: Mapping[str, Any] | None,
     share: _Share,
 ) -> Iterator[Episode]:
     """Run the episodes of some scenes, one after the other."""
-    env = _environment(body, gait, navigation)
+    env = _environment(*robot)
     for index, scene in share:
         manager = recorder(index, scene) if recorder is not None else None
         if manager is None:
@@ -275,21 +278,30 @@ def _run_share(
             yield run_episode(env, scene, pilot, log, {**(context or {}), "episode": index}, index)
 
 
-_environments: dict[tuple[str, str, str], Environment] = {}
+_environments: dict[tuple[str, ...], Environment] = {}
 
 
-def _environment(body: Body, gait: Gait, navigation: Navigation) -> Environment:
+def _environment(
+    body: Body, gait: Gait, navigation: Navigation, feedback: FeedbackSolver | None
+) -> Environment:
     """Return this process' environment, built once."""
+    from defplan_mj.dynamics.reduced import ReducedDynamics
     from defplan_mj.host.navigation import navigation_environment
 
-    key = (body.hash, gait.hash, repr(navigation))
+    key = (body.hash, gait.hash, repr(navigation), repr(feedback))
     if key not in _environments:
         _environments.clear()
 
         def sampler(random: np.random.RandomState) -> Scene:
             raise AssertionError("an evaluation sets every scene itself")
 
-        _environments[key] = navigation_environment(body, gait, navigation, sampler)
+        prepared = None
+        if feedback is not None:
+            dynamics = ReducedDynamics(body, gait.timestep)
+            prepared = feedback.prepare(dynamics, gait, navigation.space)
+        _environments[key] = navigation_environment(
+            body, gait, navigation, sampler, feedback=prepared
+        )
     return _environments[key]
 
 
