@@ -12,7 +12,8 @@ import numpy as np
 if TYPE_CHECKING:
     from dm_control.rl.control import Environment
 
-    from defplan_mj.log.recorder import Recorder, RunFiles
+    from defplan_mj.log.recorder import Recorder
+    from defplan_mj.log.run_files import RunFiles
     from defplan_mj.planning.planner import Planner
     from defplan_mj.planning.scenes import Scene
     from defplan_mj.run import Run
@@ -70,7 +71,7 @@ def evaluate(
     Returns:
         JSON-able: number of episodes, rates and their intervals, and 'rows', one an episode.
     """
-    from defplan_mj.log.recorder import RunFiles
+    from defplan_mj.log.run_files import RunFiles
     from defplan_mj.planning.evaluation import evaluate
     from defplan_mj.planning.scenes import k2_scenes, novel_scenes
 

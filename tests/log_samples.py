@@ -14,7 +14,8 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.poses import predict, quaternion, rotation_matrix, space_of
-from defplan_mj.log.recorder import Recorder, RunFiles
+from defplan_mj.log.recorder import Recorder
+from defplan_mj.log.run_files import RunFiles
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.surrogate import Surrogate
 

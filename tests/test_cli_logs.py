@@ -10,8 +10,8 @@ import pytest
 from log_samples import record_episode, record_swim, swimming_body, swimming_gait
 
 from defplan_mj import cli
-from defplan_mj.log.recorder import RunFiles
 from defplan_mj.log.replay import replay_log
+from defplan_mj.log.run_files import RunFiles
 
 
 @pytest.fixture

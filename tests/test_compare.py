@@ -22,7 +22,7 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.log.compare import DRIFT_COLUMNS, compare_logs
 from defplan_mj.log.poses import angle, predict, quaternion, rotation_matrix, yaw
 from defplan_mj.log.reader import read_log
-from defplan_mj.log.recorder import RunFiles
+from defplan_mj.log.run_files import RunFiles
 
 
 @pytest.fixture(scope="module")

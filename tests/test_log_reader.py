@@ -123,7 +123,7 @@ def test_anothers_mcap_file_is_refused(tmp_path):
 def test_a_log_without_gait_says_so(tmp_path, whole):
     from log_samples import sample_body, sample_gait, sample_surrogate
 
-    from defplan_mj.log.recorder import RunFiles
+    from defplan_mj.log.run_files import RunFiles
 
     body = sample_body()
     files = RunFiles(body, sample_gait(body), sample_surrogate(body), {})

@@ -27,7 +27,8 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.log import schemas
 from defplan_mj.log.poses import predict, rotation_matrix, yaw
 from defplan_mj.log.reader import read_log
-from defplan_mj.log.recorder import Recorder, RunFiles
+from defplan_mj.log.recorder import Recorder
+from defplan_mj.log.run_files import RunFiles
 from defplan_mj.planning.beams import beam_directions
 
 

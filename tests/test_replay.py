@@ -19,8 +19,8 @@ from defplan_mj import registry
 from defplan_mj.errors import DefplanError
 from defplan_mj.log.poses import rotation_matrix
 from defplan_mj.log.reader import read_log
-from defplan_mj.log.recorder import RunFiles
 from defplan_mj.log.replay import replay_log, write_video
+from defplan_mj.log.run_files import RunFiles
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from log_samples import (
 from defplan_mj import files
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
-from defplan_mj.log.recorder import RunFiles
+from defplan_mj.log.run_files import RunFiles
 from defplan_mj.report import write_report
 from defplan_mj.report.planning_sections import MANY
 

@@ -7,9 +7,8 @@ import importlib.metadata
 import json
 import os
 import platform
-import tempfile
 from collections.abc import Callable, Mapping
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,8 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
 import defplan_mj
-from defplan_mj.body.model import Body
 from defplan_mj.errors import DefplanError
-from defplan_mj.gait.gait import Gait
 from defplan_mj.log import schemas, wire
-from defplan_mj.log.decimate import decimate
 from defplan_mj.log.messages import (
     contact_forces,
     force_arrows,
@@ -31,8 +27,8 @@ from defplan_mj.log.messages import (
     scene_update,
 )
 from defplan_mj.log.poses import predict, rotation_matrix, space_of
+from defplan_mj.log.run_files import RunFiles
 from defplan_mj.planning.scenes import Scene
-from defplan_mj.planning.surrogate import Surrogate
 
 CHUNK_SECONDS = 1.0
 """Simulated seconds in a chunk: what a log that is cut loses at most."""
@@ -53,47 +49,6 @@ _PACKAGES = (
 _MESH_GRID = 2.0**-12  # m; drawn points are rounded to it, so that they compress
 _MESH_COLOUR = (0.16, 0.55, 0.62, 1.0)
 _WEIGHT_ARROW, _GRAVITY = 1.0, 9.81  # m; how long a force as large as the body's weight is drawn
-
-
-@dataclasses.dataclass(frozen=True)
-class RunFiles:
-    """What every log of a run holds besides the episode, encoded once: body, gait, surrogate, policy.
-
-    Attributes:
-        body, gait, surrogate: as loaded.
-        attachments: file name -> bytes, as they go into the log.
-    """
-
-    body: Body
-    gait: Gait | None = None
-    surrogate: Surrogate | None = None
-    attachments: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
-
-    @classmethod
-    def of(
-        cls,
-        body: Body,
-        gait: Gait | None = None,
-        surrogate: Surrogate | None = None,
-        policy: str | Path | None = None,
-    ) -> RunFiles:
-        """Encode the run's parts; `policy` is the planner's file, if it has one."""
-        attachments = {}
-        with tempfile.TemporaryDirectory() as folder:
-            for name, part in (("body", body), ("gait", gait), ("surrogate", surrogate)):
-                if part is not None:
-                    path = Path(folder) / f"{name}.npz"
-                    part.save(path)
-                    attachments[path.name] = path.read_bytes()
-        if policy is not None:
-            attachments[f"policy{Path(policy).suffix}"] = _read(policy)
-        return cls(body, gait, surrogate, attachments)
-
-    @cached_property
-    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of the body's surface points to draw, and their faces (at most 600)."""
-        vertices, faces = decimate(self.body.vertices, self.body.faces, 600)
-        return np.searchsorted(self.body.surface, vertices), faces
 
 
 class Recorder:
@@ -415,10 +370,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Path):
         return value.name  # a log is read elsewhere: where the file lay here says nothing
     raise TypeError(f"{type(value).__name__} in a log's configuration")
-
-
-def _read(path: str | Path) -> bytes:
-    try:
-        return Path(path).read_bytes()
-    except OSError as error:
-        raise DefplanError(f"cannot read {path}: {error.strerror}") from error

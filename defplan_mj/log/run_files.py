@@ -1,0 +1,65 @@
+"""What every log of a run holds besides its episode: body, gait, surrogate, policy."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from defplan_mj.body.model import Body
+from defplan_mj.errors import DefplanError
+from defplan_mj.gait.gait import Gait
+from defplan_mj.log.decimate import decimate
+from defplan_mj.planning.surrogate import Surrogate
+
+
+@dataclasses.dataclass(frozen=True)
+class RunFiles:
+    """What every log of a run holds besides the episode, encoded once: body, gait, surrogate, policy.
+
+    Attributes:
+        body, gait, surrogate: as loaded.
+        attachments: file name -> bytes, as they go into the log.
+    """
+
+    body: Body
+    gait: Gait | None = None
+    surrogate: Surrogate | None = None
+    attachments: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        body: Body,
+        gait: Gait | None = None,
+        surrogate: Surrogate | None = None,
+        policy: str | Path | None = None,
+    ) -> RunFiles:
+        """Encode the run's parts; `policy` is the planner's file, if it has one."""
+        attachments = {}
+        with tempfile.TemporaryDirectory() as folder:
+            for name, part in (("body", body), ("gait", gait), ("surrogate", surrogate)):
+                if part is not None:
+                    path = Path(folder) / f"{name}.npz"
+                    part.save(path)
+                    attachments[path.name] = path.read_bytes()
+        if policy is not None:
+            attachments[f"policy{Path(policy).suffix}"] = _read(policy)
+        return cls(body, gait, surrogate, attachments)
+
+    @cached_property
+    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of the body's surface points to draw, and their faces (at most 600)."""
+        vertices, faces = decimate(self.body.vertices, self.body.faces, 600)
+        return np.searchsorted(self.body.surface, vertices), faces
+
+
+def _read(path: str | Path) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise DefplanError(f"cannot read {path}: {error.strerror}") from error
