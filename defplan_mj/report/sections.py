@@ -138,27 +138,34 @@ def _gait_tables(material: Material) -> list[Block]:
     results = material.switching
     tasks = results.get("tasks", [])
     if tasks:
-        rows = [
-            [
-                task["name"],
-                mean_sd(task.get("advance_m"), task.get("advance_sd")),
-                mean_sd(task.get("drift_m"), task.get("drift_sd")),
-                mean_sd(task.get("turn_rad"), task.get("turn_sd")),
-            ]
-            for task in tasks
-        ]
+        goes = {t.name: t.advance > 0 for t in material.spec.gait_tasks} if material.spec else {}
+        columns = {"advance (m)": "advance_m", "drift (m)": "drift_m", "turn (rad)": "turn_rad"}
+        spatial = material.space == "spatial"
+        if spatial:
+            columns["stray (rad)"] = "stray_rad"
+        rows = []
+        for task in tasks:
+            row = [task["name"]]
+            for key in columns.values():
+                if key == "advance_m" and not goes.get(task["name"], True):
+                    row.append("–")  # it is not to go anywhere
+                else:
+                    row.append(mean_sd(task.get(key), task.get(key.rsplit("_", 1)[0] + "_sd")))
+            rows.append(row)
         switching = results.get("switching") or {}
         note = ""
         if switching:
             note = (
-                f" {switching.get('falls')} of {switching.get('cycles')} cycles tilt past 30 degrees "
-                "or go or turn the wrong way."
+                f" {switching.get('falls')} of {switching.get('cycles')} cycles "
+                + ("" if spatial else "tilt past 30 degrees or ")
+                + "go or turn the wrong way."
             )
         caption = (
             "What a cycle does while gaits are switched at random (mean ± sd): displacement in the "
-            "wanted direction and across it, rotation about the wanted axis."
+            "wanted direction and across it, rotation about the wanted axis"
+            + (" and the rest of the rotation." if spatial else ".")
         ) + note
-        blocks.append(Table(["gait", "advance (m)", "drift (m)", "turn (rad)"], rows, caption))
+        blocks.append(Table(["gait", *columns], rows, caption))
     else:
         blocks.append(Missing("Advance and turn a cycle under switching were not measured yet."))
     solvers = solver_rows(material.solvers)
@@ -169,7 +176,7 @@ def _gait_tables(material: Material) -> list[Block]:
             f"The gait solvers on the same problem{many}. What a solver claims counts for nothing "
             "until its gaits are simulated again, step by step: the objective then; while gaits are "
             "switched at random, the advance a cycle of the gait that is to go farthest, the turn a "
-            "cycle of those that are to turn, and the cycles that tilt, or go or turn the wrong way, "
+            "cycle of those that are to turn, and the cycles that are lost as said above, "
             "with their 95% interval (Wilson's)."
         )
         blocks.append(Table(SOLVER_COLUMNS, solvers, caption))
