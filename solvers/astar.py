@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import heapq
-import math
 
 import numpy as np
 
+from defplan_mj.planning.motion_tree import MotionTree
 from defplan_mj.planning.planner import Observation
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.laser_map import LaserMap
+from defplan_solvers.outlook import Outlook
 from defplan_solvers.untrained import UntrainedSolver
 
-GRID = 0.15  # cell of the clearance grid, m
 HORIZON = 9.0  # a plan that gets this far from the robot is good enough, m
 MARGINS = (
     0.45,
@@ -22,17 +22,20 @@ MARGINS = (
     0.1,
 )  # added to the body's radius, one after the other until there is a plan, m
 NODES = 1500  # search nodes of one attempt
-CELL, HEADINGS = 0.3, 24  # poses in the same cell and heading count as one, m
-WEIGHT = 1.2  # of the heuristic: more is faster, less is shorter
+AT_ONCE = 8  # nodes that are expanded together, the best first
+CELL, HEADING = 0.3, 0.26  # poses closer than this count as one, m and rad
+WEIGHT = 1.2  # of the estimate: more is faster, less is shorter
 
 
 class AstarPlanner:
     """Replans at every cycle; memory makes up for what the laser no longer sees."""
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
-        self.motions = surrogate.planar()
-        self.radius, self.goal_radius = surrogate.radius, navigation.goal_radius
-        self.map = LaserMap(self.motions, navigation.laser_range)
+        self.motions = surrogate.motions(navigation.space)
+        self.radius, self.dimension = surrogate.radius, navigation.dimension
+        self.outlook = Outlook(self.motions, navigation.goal_radius)
+        self.tree = MotionTree(self.motions, 1)
+        self.map = LaserMap(surrogate, navigation)
         self.shield = Shield(self, surrogate, navigation)  # its rule, for when there is no plan
 
     def reset(self) -> None:
@@ -40,10 +43,10 @@ class AstarPlanner:
         self.map.reset()
 
     def values(self, observation: Observation) -> np.ndarray:
-        """Return (K,) minus the distance that is left after each gait, the plan's gait first."""
-        target = observation["target"][:2]
+        """Return (K,) minus the cycles that are left after each gait, the plan's gait first."""
+        target = observation["target"][: self.dimension]
         points = self.map.update(observation["laser"], target)
-        values = -np.hypot(*(target - self.motions[:, :2]).T)
+        values = -self.outlook.after_each(target)
         gait = self._plan(points, target)
         if gait is None:
             values = np.where(self.shield.safe(points), values, values - np.ptp(values) - 1)
@@ -53,92 +56,95 @@ class AstarPlanner:
         return values
 
     def _plan(self, points: np.ndarray, target: np.ndarray) -> int | None:
-        clearance = _Clearance(points)
+        near = points[np.linalg.norm(points, axis=1) < HORIZON + 1]
         for margin in MARGINS:
-            gait = search(
-                self.motions, clearance, self.radius + margin, self.radius, target, self.goal_radius
-            )
+            gait = search(self.outlook, self.tree, near, self.radius + margin, self.radius, target)
             if gait is not None:
                 return gait
         return None
 
 
-class _Clearance:
-    """Distance to the nearest point, from a grid about the robot; what lies outside counts as free."""
-
-    def __init__(self, points: np.ndarray) -> None:
-        from scipy.ndimage import distance_transform_edt  # here: plugins are quick to import
-
-        self.cells = 2 * round((HORIZON + 1.0) / GRID) + 1
-        self.middle = self.cells // 2
-        index = np.round(points / GRID).astype(int) + self.middle
-        inside = np.all((index >= 0) & (index < self.cells), axis=1)
-        free = np.ones((self.cells, self.cells), bool)
-        free[index[inside, 0], index[inside, 1]] = False
-        distance = distance_transform_edt(free) if inside.any() else np.full(free.shape, 1e3)
-        self._distance = (GRID * distance).ravel().tolist()
-
-    def __call__(self, x: float, y: float) -> float:
-        """Return the clearance at (x, y), m, to about half a cell."""
-        i, j = round(x / GRID) + self.middle, round(y / GRID) + self.middle
-        if 0 <= i < self.cells and 0 <= j < self.cells:
-            return self._distance[i * self.cells + j]
-        return 1e3
-
-
 def search(
-    motions: np.ndarray,
-    clearance: _Clearance,
+    outlook: Outlook,
+    tree: MotionTree,
+    points: np.ndarray,
     wanted: float,
     least: float,
     target: np.ndarray,
-    goal_radius: float,
 ) -> int | None:
     """Return the first gait of a short way to the target, or None if there is none.
 
     Args:
-        motions: (K, 3) forward and left displacement (m) and yaw (rad) of each gait.
-        wanted: clearance that cycles keep, m; where there is less already, cycles may gain some.
+        outlook: estimates what is left.
+        tree: of depth 1.
+        points: (p, d) what to keep away from, m, in the robot's frame.
+        wanted: clearance that cycles keep, m; where there is less already, cycles may gain some, or
+            turn the robot in its place.
         least: clearance that cycles keep in any case, m.
-        target: (2,) m, in the robot's yaw frame.
+        target: (d,) m, in the robot's frame.
     """
-    gaits = [tuple(map(float, motion)) for motion in motions]
-    advance = max(math.hypot(x, y) for x, y, _ in gaits)
-    goal_x, goal_y = map(float, target)
-
-    def left(x: float, y: float) -> float:
-        return max(0.0, math.hypot(goal_x - x, goal_y - y) - goal_radius) / advance
-
-    # An entry: estimate, order, cycles, x, y, yaw, first gait, clearance.
-    heap = [(WEIGHT * left(0.0, 0.0), 0, 0, 0.0, 0.0, 0.0, -1, clearance(0.0, 0.0))]
-    closed, made = set(), 1
-    nearest, fallback = math.inf, -1
+    rotations, translations = outlook.motions
+    gaits, d = tree.gaits, len(target)
+    room = NODES + AT_ONCE * gaits
+    position, frames = np.zeros((room, d)), np.zeros((room, d, d))
+    first, cycles, near = np.full(room, -1), np.zeros(room), np.zeros(room, bool)
+    keys = np.zeros((room, 2 * d), np.int16)
+    frames[0], made = np.eye(d), 1
+    heap = [(0.0, 0)]  # of estimates and nodes
+    closed: set[bytes] = set()
+    nearest, fallback = np.inf, -1
     while heap and made < NODES:
-        _, _, cycles, x, y, yaw, first, here = heapq.heappop(heap)
-        if first >= 0 and (left(x, y) == 0.0 or math.hypot(x, y) > HORIZON):
-            return first
-        turn = math.floor(yaw % (2 * math.pi) * HEADINGS / (2 * math.pi))
-        key = (math.floor(x / CELL), math.floor(y / CELL), turn)
-        if key in closed:
-            continue
-        closed.add(key)
-        cosine, sine = math.cos(yaw), math.sin(yaw)
-        for gait, (forward, sideways, yaw_change) in enumerate(gaits):
-            dx = cosine * forward - sine * sideways
-            dy = sine * forward + cosine * sideways
-            end = clearance(x + dx, y + dy)
-            way = min(clearance(x + share * dx, y + share * dy) for share in (0.33, 0.67))
-            room = min(end, way)
-            if room < least or (room < wanted and not (here < wanted and end > here)):
-                continue
-            rest = left(x + dx, y + dy)
-            begun = gait if first < 0 else first
-            if rest < nearest:
-                nearest, fallback = rest, begun
-            made += 1
-            entry = (cycles + 1 + WEIGHT * rest, made, cycles + 1, x + dx, y + dy)
-            heapq.heappush(heap, (*entry, yaw + yaw_change, begun, end))
-    return fallback if fallback >= 0 else None
+        chosen: list[int] = []
+        while heap and len(chosen) < AT_ONCE:
+            node = heapq.heappop(heap)[1]
+            if near[node]:
+                return int(first[node])
+            if (key := keys[node].tobytes()) not in closed:
+                closed.add(key)
+                chosen.append(node)
+        if not chosen:
+            break
+        start, turned = position[chosen], frames[chosen]
+        free = _free(tree, points, start, turned, wanted, least)
+        parent, gait = np.nonzero(free)
+        new = slice(made, made + len(gait))
+        made = new.stop
+        step = np.einsum("nij,nj->ni", turned[parent], translations[gait])
+        position[new] = end = start[parent] + step
+        frames[new] = facing = turned[parent] @ rotations[gait]
+        cycles[new] = cycles[chosen][parent] + 1
+        begun = first[chosen][parent]
+        first[new] = begun = np.where(begun < 0, gait, begun)
+        rest = outlook.cycles(np.einsum("nij,ni->nj", facing, target - end))
+        near[new] = (rest == 0) | (np.einsum("nd,nd->n", end, end) > HORIZON**2)
+        keys[new, :d] = np.floor(end / CELL)
+        keys[new, d:] = np.round(facing @ outlook.axes[0] / HEADING)
+        if len(rest) and rest.min() < nearest:
+            nearest, fallback = rest.min(), int(begun[rest.argmin()])
+        for entry in zip(
+            (cycles[new] + WEIGHT * rest).tolist(), range(new.start, made), strict=True
+        ):
+            heapq.heappush(heap, entry)
+    return None if fallback < 0 else fallback
+
+
+def _free(
+    tree: MotionTree,
+    points: np.ndarray,
+    position: np.ndarray,
+    frames: np.ndarray,
+    wanted: float,
+    least: float,
+) -> np.ndarray:
+    """Return (n, K) which gaits may be used at poses (n, d), (n, d, d); see `search`."""
+    if not len(points):
+        return np.ones((len(position), tree.gaits), bool)
+    local = (points - position[:, None]) @ frames
+    every = tree.distances2(local.reshape(-1, points.shape[1]))
+    here, end, way = (a.reshape(len(position), -1, tree.gaits).min(1) for a in every)
+    turns = tree.in_place & (way > (0.5 * (wanted + least)) ** 2)
+    gains = (here < wanted**2) & ((end > here) | turns)
+    return (way >= least**2) & ((way >= wanted**2) | gains)
 
 
 SOLVER = UntrainedSolver(

@@ -14,7 +14,7 @@ import numpy as np
 from defplan_mj import files
 from defplan_mj.errors import DefplanError
 from defplan_mj.planning.loops import LoopBreaker
-from defplan_mj.planning.observation import features
+from defplan_mj.planning.observation import features, target_features
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation, Progress, no_progress
@@ -52,6 +52,7 @@ class DqlPlanner:
         network: values of the gaits.
         task_names: the gaits.
         laser_range: m.
+        dimension: of the targets: 2 in the plane, 3 in space.
         meta: how it was trained.
         loops: what gets the robot out of loops.
     """
@@ -59,6 +60,7 @@ class DqlPlanner:
     network: QNetwork
     task_names: tuple[str, ...]
     laser_range: float
+    dimension: int
     meta: dict
     loops: LoopBreaker = field(default_factory=LoopBreaker)
 
@@ -68,7 +70,7 @@ class DqlPlanner:
 
     def values(self, observation: Observation) -> np.ndarray:
         """Return the (K,) Q values, lowered where they would lead round in circles."""
-        laser, target = observation["laser"], observation["target"]
+        laser, target = observation["laser"], observation["target"][: self.dimension]
         return self.loops.adjust(self.network(features(laser, target, self.laser_range)), target)
 
 
@@ -103,7 +105,9 @@ class DqlSolver:
         started = time.perf_counter()
         limit = SAFETY_SECONDS if seconds is None else seconds
         network, curves, meta = train(surrogate, navigation, seed, Recipe(), limit, progress)
-        planner = DqlPlanner(network, surrogate.task_names, navigation.laser_range, meta)
+        planner = DqlPlanner(
+            network, surrogate.task_names, navigation.laser_range, navigation.dimension, meta
+        )
         return TrainResult(planner, curves, time.perf_counter() - started)
 
     def save(self, planner: Planner, path: Path) -> None:
@@ -137,7 +141,8 @@ class DqlSolver:
         network = QNetwork(
             tuple(arrays[f"weight{i}"] for i in layers), tuple(arrays[f"bias{i}"] for i in layers)
         )
-        inputs = len(features(np.zeros(navigation.beams), np.ones(2), navigation.laser_range))
+        dimension = navigation.dimension
+        inputs = navigation.beams + target_features(dimension)
         if network.weights[0].shape[1] != inputs:
             raise DefplanError(
                 f"{path} wants {network.weights[0].shape[1]} inputs, this task's laser and target"
@@ -148,7 +153,9 @@ class DqlSolver:
                 f"{path} was trained for the gaits {', '.join(meta['task_names'])}, not for"
                 f" {', '.join(surrogate.task_names)}: train the planner anew"
             )
-        return DqlPlanner(network, surrogate.task_names, meta["laser_range"], meta["training"])
+        return DqlPlanner(
+            network, surrogate.task_names, meta["laser_range"], dimension, meta["training"]
+        )
 
 
 SOLVER = DqlSolver()

@@ -147,16 +147,12 @@ def pretrain(
 
 
 def nearest_obstacles(env: SurrogateEnv) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres of the nearest obstacles in the yaw frame (n, 2, 2), m, and who is in range."""
+    """Return centres of the nearest obstacles in the robots' frames (n, 2, d), m, and who is in range."""
     offset = env.centres - env.position[:, None]
     gap = np.linalg.norm(offset, axis=2) - env.radii
     order = np.argsort(gap, axis=1)[:, :NEAREST]
     rows = np.arange(env.n)[:, None]
-    offset, gap = offset[rows, order], gap[rows, order]
-    cosine, sine = np.cos(env.yaw)[:, None], np.sin(env.yaw)[:, None]
-    forward = cosine * offset[..., 0] + sine * offset[..., 1]
-    left = cosine * offset[..., 1] - sine * offset[..., 0]
-    return np.stack([forward, left], 2), gap < env.navigation.laser_range
+    return (offset @ env.frames)[rows, order], gap[rows, order] < env.navigation.laser_range
 
 
 def learn(

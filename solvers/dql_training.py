@@ -15,7 +15,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from defplan_mj.planning.observation import TARGET_FEATURES, features
+from defplan_mj.planning.observation import features, target_features
 from defplan_mj.planning.scenes import (
     SceneBatch,
     k2_scenes,
@@ -155,9 +155,8 @@ class _Robots(VecEnv):
         self.advance = float(np.linalg.norm(surrogate.translations, axis=1).max())
         self.actions = np.zeros(recipe.robots, np.int64)
         self.render_mode = None
-        box = gymnasium.spaces.Box(
-            -np.inf, np.inf, (navigation.beams + TARGET_FEATURES,), np.float32
-        )
+        inputs = navigation.beams + target_features(navigation.dimension)
+        box = gymnasium.spaces.Box(-np.inf, np.inf, (inputs,), np.float32)
         gaits = gymnasium.spaces.Discrete(len(surrogate.task_names))
         super().__init__(recipe.robots, box, gaits)
 

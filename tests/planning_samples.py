@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from defplan_mj.planning.scenes import Scene, SceneBatch, level_attitude
+from defplan_mj.planning.frames import level_attitude
+from defplan_mj.planning.scenes import Scene, SceneBatch
 from defplan_mj.planning.surrogate import Surrogate
 
 
@@ -33,6 +35,43 @@ def surrogate(
         translation_mean=np.hypot(motion[:, 0], motion[:, 1]),
         translation_sd=np.full(3, scatter),
         radius=radius,
+    )
+
+
+def swimmer(radius: float = 0.55, scatter: float = 0.03) -> Surrogate:
+    """Return f_fit of a robot in space that turns in place, four ways, and moves along its own z."""
+    turn, slip = 0.35, 0.03
+    axes = np.array([[0, 1, 0], [0, -1, 0], [-1, 0, 0], [1, 0, 0], [0, 0, 0]], float)
+    translations = np.array(
+        [[slip, 0, 0], [-slip, 0, 0], [0, slip, 0], [0, -slip, 0], [0, 0, 0.45]], float
+    )
+    return Surrogate(
+        body_hash="b" * 64,
+        gait_hash="a" * 64,
+        task_names=("front", "back", "left", "right", "forward"),
+        rotations=Rotation.from_rotvec(turn * axes).as_matrix(),
+        translations=translations,
+        cycle_seconds=0.36,
+        pairs=1000,
+        rotation_mean=turn * np.abs(axes).sum(1),
+        rotation_sd=np.full(5, scatter),
+        translation_mean=np.linalg.norm(translations, axis=1),
+        translation_sd=np.full(5, scatter),
+        radius=radius,
+    )
+
+
+def spheres(balls=(), target=(10.0, 0.0, 0.0), orientation=(1.0, 0, 0, 0), **kwargs) -> Scene:
+    """Return a scene with spheres (x, y, z, radius) and a start attitude."""
+    array = np.array(balls, float).reshape(-1, 4)
+    return Scene(
+        np.array(target, float),
+        array[:, :3],
+        array[:, 3],
+        np.zeros((len(array), 3)),
+        "sphere",
+        orientation=np.array(orientation, float),
+        **kwargs,
     )
 
 

@@ -5,29 +5,40 @@ import planning_samples as samples
 import pytest
 
 from defplan_mj.errors import DefplanError
+from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.scenes import SceneBatch, novel_scenes
+from defplan_mj.planning.surrogate import Motions
 from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers import astar, greedy
 from defplan_solvers.laser_map import LaserMap
+from defplan_solvers.outlook import Outlook
 
 NAVIGATION = Navigation()
+SPATIAL = Navigation(space="spatial", beams=128, k2=30)
+BOTH = pytest.mark.parametrize(
+    ("navigation", "surrogate"),
+    [(NAVIGATION, samples.surrogate()), (SPATIAL, samples.swimmer())],
+    ids=["planar", "spatial"],
+)
 
 
-def rate(planner_of, scenes, surrogate):
+def rate(planner_of, scenes, surrogate, navigation=NAVIGATION, noise=0.0):
     """Return the success of one planner for each scene, on the surrogate."""
     batch = SceneBatch.of(scenes)
-    planners = [planner_of() for _ in scenes]
+    planners = [planner_of(surrogate, navigation) for _ in scenes]
 
     def act(laser, target, robots):
+        places = np.pad(target, ((0, 0), (0, 3 - target.shape[1])))  # as the host gives them
         return np.array(
             [
-                planners[robot].values({"laser": scan, "target": np.append(place, 0)}).argmax()
-                for robot, scan, place in zip(robots, laser, target, strict=True)
+                planners[robot].values({"laser": scan, "target": place}).argmax()
+                for robot, scan, place in zip(robots, laser, places, strict=True)
             ]
         )
 
-    return run_on_surrogate(surrogate, NAVIGATION, batch, act).rate()
+    generator = np.random.default_rng(0)
+    return run_on_surrogate(surrogate, navigation, batch, act, generator, noise).rate()
 
 
 def wall_with_target_behind():
@@ -38,54 +49,107 @@ def wall_with_target_behind():
 
 def test_astar_goes_round_a_wall_and_greedy_does_not():
     surrogate, scenes = samples.surrogate(), [wall_with_target_behind()]
-    assert rate(lambda: astar.AstarPlanner(surrogate, NAVIGATION), scenes, surrogate) == 1
-    assert rate(lambda: greedy.GreedyPlanner(surrogate, NAVIGATION), scenes, surrogate) == 0
+    assert rate(astar.AstarPlanner, scenes, surrogate) == 1
+    assert rate(greedy.GreedyPlanner, scenes, surrogate) == 0
 
 
+@BOTH
 @pytest.mark.parametrize("solver", [astar.SOLVER, greedy.SOLVER])
-def test_all_reach_the_target_where_nothing_is_in_the_way(solver):
-    surrogate, scenes = samples.surrogate(), novel_scenes(NAVIGATION, 5, 0, obstacles=0)
-    assert rate(lambda: solver.train(surrogate, NAVIGATION, 0).planner, scenes, surrogate) == 1
+def test_all_reach_the_target_where_nothing_is_in_the_way(solver, navigation, surrogate):
+    scenes = novel_scenes(navigation, 5, 0, obstacles=0)
+    make = lambda s, n: solver.train(s, n, 0).planner  # noqa: E731
+    assert rate(make, scenes, surrogate, navigation) == 1
 
 
+def test_astar_reaches_targets_among_spheres():
+    scenes = novel_scenes(SPATIAL, 6, 5)
+    assert rate(astar.AstarPlanner, scenes, samples.swimmer(), SPATIAL, noise=1.0) == 1
+
+
+@BOTH
 @pytest.mark.slow
-def test_astar_reaches_nearly_all_novel_targets_on_the_surrogate():
-    surrogate, scenes = samples.surrogate(), novel_scenes(NAVIGATION, 50, 3)
-    assert rate(lambda: astar.AstarPlanner(surrogate, NAVIGATION), scenes, surrogate) >= 0.94
+def test_astar_reaches_nearly_all_novel_targets_on_the_surrogate(navigation, surrogate):
+    scenes = novel_scenes(navigation, 50, 3)
+    assert rate(astar.AstarPlanner, scenes, surrogate, navigation) >= 0.94
 
 
-def test_the_map_keeps_points_where_they_are_though_the_robot_never_knows_how_it_turned():
-    surrogate = samples.surrogate(scatter=0.08)
-    scene = samples.scene([(4, 2, 0.7), (6, -2, 1.0), (2, -3, 0.5), (9, 1, 1.2)], target=(20.0, 0))
-    batch = samples.batch(scene)
-    env = SurrogateEnv(surrogate, NAVIGATION, batch, generator=np.random.default_rng(1), noise=1.0)
-    memory = LaserMap(surrogate.planar(), NAVIGATION.laser_range)
+@BOTH
+def test_the_outlook_is_exact_on_straight_ways_and_counts_turns(navigation, surrogate):
+    outlook = Outlook(surrogate.motions(navigation.space), 1.0)
+    ahead = outlook.axes[0]
+    advance = np.linalg.norm(surrogate.translations, axis=1).max()
+    assert np.isclose(outlook.cycles(9 * ahead), 8 / advance)
+    assert outlook.cycles(0.9 * ahead) == 0
+    aside = outlook.cycles(9 * np.roll(ahead, 1)) - outlook.cycles(9 * ahead)
+    assert np.isclose(aside, outlook.per_radian * np.pi / 2)
+    # A swimmer that turns in place gives all but its slip for a turn of 0.35 rad.
+    if navigation is SPATIAL:
+        assert np.isclose(outlook.per_radian, (1 - 0.03 / 0.45) / 0.35)
+    # What is left after a gait is what is left from where the rigid dynamics leads.
+    target = np.random.default_rng(0).normal(0, 5, navigation.dimension)
+    rotations, translations = surrogate.motions(navigation.space)
+    expected = [
+        outlook.cycles(np.linalg.inv(r) @ (target - t))
+        for r, t in zip(rotations, translations, strict=True)
+    ]
+    assert np.allclose(outlook.after_each(target), expected)
+
+
+def test_a_robot_that_walks_to_every_side_need_not_turn():
+    ways = np.array([[0.5, 0], [-0.5, 0], [0, 0.5], [0, -0.5]])
+    outlook = Outlook(Motions(np.tile(np.eye(2), (4, 1, 1)), ways), 1.0)
+    assert outlook.per_radian == 0 and len(outlook.axes) == 4
+    assert np.isclose(outlook.cycles(np.array([0.0, -6.0])), 10)
+
+
+@pytest.mark.parametrize("space", ["planar", "spatial"])
+def test_the_map_keeps_points_where_they_are_though_the_robot_never_knows_how_it_turned(space):
+    if space == "planar":
+        navigation, surrogate = NAVIGATION, samples.surrogate(scatter=0.08)
+        circles = [(4, 2, 0.7), (6, -2, 1.0), (2, -3, 0.5), (9, 1, 1.2)]
+        scene = samples.scene(circles, target=(20.0, 0))
+        gaits = [0, 1, 0, 2, 0, 2, 1, 0, 0, 1]
+    else:
+        navigation, surrogate = SPATIAL, samples.swimmer(scatter=0.05)
+        balls = [(1, 2, 4, 1.5), (-2, 1, 6, 1.5), (2, -3, 2, 2), (-3, -3, 4, 1.5)]
+        scene = samples.spheres(balls, target=(0, 0, 20.0))
+        gaits = [4, 0, 4, 2, 4, 4, 1, 4, 3, 4, 4, 0]
+    env = SurrogateEnv(
+        surrogate, navigation, samples.batch(scene), generator=np.random.default_rng(1), noise=1.0
+    )
+    memory = LaserMap(surrogate, navigation)
     laser, target = env.observe()
-    for gait in [0, 1, 0, 2, 0, 2, 1, 0, 0, 1]:
+    for gait in gaits:
         points = memory.update(laser[0], target[0])
         memory.chose(gait)
         step = env.step(np.array([gait]))
         laser, target = step.laser, step.target
     points = memory.update(laser[0], target[0])
-    cosine, sine = np.cos(env.yaw[0]), np.sin(env.yaw[0])
-    world = env.position[0] + points @ np.array([[cosine, sine], [-sine, cosine]])
-    centres, radii = scene.centres[:, :2], scene.radii
+    world = env.position[0] + points @ env.frames[0].T
+    centres, radii = scene.centres[:, : navigation.dimension], scene.radii
     error = np.abs(np.linalg.norm(world[:, None] - centres, axis=2) - radii).min(1)
-    assert len(points) > 20 and np.median(error) < 0.1 and np.quantile(error, 0.95) < 0.4
+    # In space the turn about the line to the target is not seen: points beside the way drift.
+    worst = 0.4 if space == "planar" else 0.7
+    assert len(points) > 20 and np.median(error) < 0.1 and np.quantile(error, 0.95) < worst
 
 
-def test_the_map_forgets_what_a_beam_passes():
-    memory = LaserMap(samples.surrogate().planar(), 10.0)
-    seen = np.full(64, 10.0)
-    seen[:3], seen[-2:] = 3.0, 3.0
-    memory.update(seen, np.array([10.0, 0.0]))
-    memory.chose(0)
-    free = memory.update(np.full(64, 10.0), np.array([9.35, 0.0]))
-    assert len(free) == 0
+@pytest.mark.parametrize("navigation", [NAVIGATION, SPATIAL], ids=["planar", "spatial"])
+def test_the_map_forgets_what_a_beam_passes(navigation):
+    surrogate = samples.surrogate() if navigation is NAVIGATION else samples.swimmer()
+    memory = LaserMap(surrogate, navigation)
+    gait = surrogate.task_names.index("forward")
+    directions = beam_directions(navigation.beams, navigation.space)
+    ahead = surrogate.translations[gait, : navigation.dimension]
+    seen = np.full(navigation.beams, 10.0)
+    seen[directions @ ahead > 0.9 * np.linalg.norm(ahead)] = 2.0
+    assert len(memory.update(seen, 10.0 * ahead)) > 3
+    memory.chose(gait)
+    gone = memory.update(np.full(navigation.beams, 10.0), 9.0 * ahead)
+    assert len(gone) == 0
 
 
 def test_a_reset_forgets_the_map():
-    memory = LaserMap(samples.surrogate().planar(), 10.0)
+    memory = LaserMap(samples.surrogate(), NAVIGATION)
     memory.update(np.full(64, 3.0), np.array([10.0, 0.0]))
     memory.reset()
     assert len(memory.points) == 0

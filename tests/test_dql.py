@@ -45,7 +45,7 @@ def random_network(seed=0, inputs=69):
 
 
 def planner(**kwargs):
-    return DqlPlanner(random_network(**kwargs), ("forward", "left", "right"), 10.0, {"seed": 0})
+    return DqlPlanner(random_network(**kwargs), ("forward", "left", "right"), 10.0, 2, {"seed": 0})
 
 
 def observation():

@@ -8,7 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from defplan_mj.planning.beams import beam_directions
-from defplan_mj.planning.surrogate_env import scan as planar_scan
+from defplan_mj.planning.frames import attitude_frames, turns
+from defplan_mj.planning.surrogate_env import scan as surrogate_scan
 
 CIRCLES = [(4.0, 1.0, 1.0), (-3.0, 2.0, 0.7), (1.0, -6.0, 2.0), (7.0, 8.0, 1.5)]
 SPHERES = [(4.0, 1.0, 1.0, 1.0), (-3.0, 2.0, -4.0, 0.7), (1.0, -6.0, 2.0, 2.0), (0.5, 0.3, 6.0, 1.5),
@@ -118,10 +119,34 @@ def test_laser_sees_as_the_planners_surrogate_does():
         physics.set_scene(samples.scene(CIRCLES, yaw=0.4))
         physics.data.qpos[3:7] = [np.cos(0.2), 0.0, 0.0, np.sin(0.2)]
     circles = np.array(CIRCLES)
-    surrogate = planar_scan(
-        np.zeros((1, 2)), np.array([0.4]), circles[None, :, :2], circles[None, :, 2], 64, 10.0
+    surrogate = surrogate_scan(
+        np.zeros((1, 2)),
+        turns(np.array([[0.4]])),
+        circles[None, :, :2],
+        circles[None, :, 2],
+        beam_directions(64, "planar"),
+        10.0,
     )
     assert physics.laser() == pytest.approx(surrogate[0], abs=1e-4)
+
+
+def test_in_space_too_the_laser_sees_as_the_planners_surrogate_does():
+    attitude = samples.attitudes(1, seed=3)
+    physics = samples.physics(max_obstacles=len(SPHERES), beams=128, space="spatial")
+    with physics.reset_context():
+        physics.set_scene(samples.spheres(SPHERES))
+        physics.data.qpos[3:7] = attitude[0]
+    balls = np.array(SPHERES)
+    surrogate = surrogate_scan(
+        physics.com()[None],
+        attitude_frames(attitude, 3),
+        balls[None, :, :3],
+        balls[None, :, 3],
+        beam_directions(128, "spatial"),
+        10.0,
+    )
+    assert physics.laser() == pytest.approx(surrogate[0], abs=1e-4)
+    assert np.sum(surrogate < 10) > 10
 
 
 def test_hits_beyond_the_range_count_as_misses():

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from defplan_mj.errors import DefplanError
 from defplan_mj.host.navigation import Navigate, navigation_environment
-from defplan_mj.planning.scenes import Scene, level_attitude, novel_scenes
+from defplan_mj.planning.frames import level_attitude
+from defplan_mj.planning.scenes import Scene, novel_scenes
 from defplan_mj.task import Navigation
 
 NAVIGATION = Navigation()

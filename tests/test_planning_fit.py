@@ -89,7 +89,8 @@ def test_the_surrogate_holds_every_tasks_motion_and_is_the_same_in_a_rerun(
     assert np.array_equal(first.rotations, again.rotations)
     assert np.array_equal(first.translations, again.translations)
     assert not np.array_equal(first.translations, other.translations)
-    _, left, right = first.planar()[:, 2]
+    turn = first.motions("planar").rotations
+    _, left, right = np.arctan2(turn[:, 1, 0], turn[:, 0, 0])
     assert left * right < 0 and abs(left) > 0.05  # the bends turn to opposite sides
     assert 0.4 < first.radius < 0.9  # the fish is 1 m long
     first.save(tmp_path / "surrogate.npz")

@@ -25,6 +25,14 @@ def test_a_robot_that_turns_round_on_the_spot_is_not_in_a_loop_yet():
         assert np.array_equal(loops.adjust(values, target), values)
 
 
+def test_in_space_a_target_in_another_direction_is_another_place():
+    loops, values = LoopBreaker(), np.array([2.0, 1.0, 0.0])
+    directions = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1.0]])
+    for direction in directions:
+        assert np.array_equal(loops.adjust(values, 5 * direction), values)
+    assert loops.adjust(values, 5 * directions[0])[0] < values[0]  # the first one again
+
+
 def test_who_comes_back_to_the_same_place_tries_every_gait_in_turn():
     chosen = circle(LoopBreaker(), 30)
     assert chosen[:5] == [0] * 5 and set(chosen) == {0, 1, 2}

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from defplan_mj.gait.gait import Gait
     from defplan_mj.planning.surrogate import Surrogate
 
-OUTCOMES = ("success", "collision", "timeout")
+OUTCOMES = ("success", "collision", "fall", "timeout")
 PARALLEL_FROM = 16  # episodes; fewer are done before a second process has started
 
 
@@ -64,7 +64,7 @@ class Episode:
 
     Attributes:
         index: of the scene.
-        outcome: 'success', 'collision' or 'timeout'.
+        outcome: 'success', 'collision', 'fall' (of a robot that walks) or 'timeout'.
         cycles: gait cycles begun.
         seconds: simulated time, s.
         distance: from the target at the end, m.
@@ -310,6 +310,7 @@ def _reason(outcome: str, cycles: int, distance: float) -> str:
     what = {
         "success": "reached the target",
         "collision": "touched an obstacle",
+        "fall": "fell",
         "timeout": "ran out of time",
     }[outcome]
     return f"{what} after {cycles} cycles, {distance:.2f} m from its centre"

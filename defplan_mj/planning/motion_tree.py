@@ -4,46 +4,56 @@ from __future__ import annotations
 
 import numpy as np
 
+from defplan_mj.planning.surrogate import Motions
+
+IN_PLACE = 0.2
+"""A cycle that moves the centre of mass by less than this turns the robot in its place, m."""
+
 
 class MotionTree:
     """The tree of the K + K^2 + ... + K^depth cycles that follow on each other from one pose.
 
     Level d (1 to depth) holds K^d cycles; the children of cycle i are K i .. K i + K - 1 of the
     next level, so the first gait of cycle i of level d is i // K^(d - 1). The tree is computed
-    once, in the yaw frame of its root: a decision only measures distances.
+    once, in the frame of its root: a decision only measures distances.
 
     Args:
-        motions: (K, 3) forward and left displacement (m) and yaw (rad) of each gait.
+        motions: of the gaits.
         depth: cycles in a sequence.
+
+    Attributes:
+        start, end: (cycles, d) where each cycle begins and ends, m.
+        end_frames: (cycles, d, d) how the robot is turned at its end.
+        in_place: (cycles,) whether it hardly moves the robot.
     """
 
-    def __init__(self, motions: np.ndarray, depth: int) -> None:
-        self.gaits, self.depth = len(motions), depth
-        starts, ends, end_yaws = [], [], []
-        position, yaw = np.zeros((1, 2)), np.zeros(1)
+    def __init__(self, motions: Motions, depth: int) -> None:
+        self.gaits, self.depth = len(motions.translations), depth
+        starts, ends, end_frames = [], [], []
+        d = motions.translations.shape[1]
+        position, frames = np.zeros((1, d)), np.eye(d)[None]
         for _ in range(depth):
-            position, yaw = position.repeat(self.gaits, 0), yaw.repeat(self.gaits)
-            gait = np.arange(len(yaw)) % self.gaits
-            cosine, sine = np.cos(yaw), np.sin(yaw)
-            x, y = motions[gait, 0], motions[gait, 1]
+            position, frames = position.repeat(self.gaits, 0), frames.repeat(self.gaits, 0)
+            gait = np.arange(len(position)) % self.gaits
             starts.append(position)
-            position = position + np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
-            yaw = yaw + motions[gait, 2]
+            position = position + np.einsum("nij,nj->ni", frames, motions.translations[gait])
+            frames = frames @ motions.rotations[gait]
             ends.append(position)
-            end_yaws.append(yaw)
+            end_frames.append(frames)
         self.start = np.concatenate(starts).astype(np.float32)
         self.end = np.concatenate(ends).astype(np.float32)
-        self.end_yaw = np.concatenate(end_yaws).astype(np.float32)
+        self.end_frames = np.concatenate(end_frames).astype(np.float32)
         edge = self.end - self.start
         self._edge, self._length2 = edge, np.maximum((edge * edge).sum(1), 1e-12)
         self._start_edge = (self.start * edge).sum(1)
         self._start2 = (self.start * self.start).sum(1)
+        self.in_place = self._length2 < IN_PLACE**2
 
     def distances2(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return squared distances (p, cycles) of points to each cycle's start, end and way.
 
         Args:
-            points: (p, 2) m, in the root's yaw frame.
+            points: (p, d) m, in the root's frame.
         """
         points = np.asarray(points, np.float32)
         from_start = (points * points).sum(1)[:, None] - 2 * (points @ self.start.T) + self._start2

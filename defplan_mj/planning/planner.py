@@ -13,7 +13,8 @@ from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation, Progress
 
 Observation = Mapping[str, np.ndarray]
-"""'laser' (beams,) m; 'target' (3,) m in the body's yaw frame; 'state' reduced state."""
+"""'laser' (beams,) m; 'target' (3,) m, of which the first d count; 'state' reduced state. All in the
+robot's frame: the yaw frame of planar tasks (d = 2), the body frame of those in space (d = 3)."""
 
 
 class Planner(Protocol):

@@ -7,6 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from defplan_mj.errors import DefplanError
+from defplan_mj.planning.frames import (
+    level_attitude,
+    random_attitudes,
+    random_directions,
+    spread_directions,
+)
 from defplan_mj.task import Navigation
 
 FAR = 1e4
@@ -14,6 +20,7 @@ FAR = 1e4
 
 # First words of the seeds, so that no two kinds of scenes share random numbers.
 _K2_STREAM, _NOVEL_STREAM, _TRAINING_STREAM, _VALIDATION_STREAM = range(101, 105)
+_K2_TARGETS_STREAM = 105
 
 
 @dataclass(frozen=True)
@@ -25,7 +32,7 @@ class Scene:
         centres: (m, 3) obstacle centres at time 0.
         radii: (m,) obstacle radii.
         velocities: (m, 3) constant obstacle velocities, m/s.
-        shape: 'cylinder' (upright) or 'sphere'.
+        shape: 'cylinder' (upright, of a planar scene) or 'sphere' (of one in space).
         orientation: (4,) start attitude, unit quaternion w x y z.
         goal_radius: the target is reached when the centre of mass comes this close.
         max_cycles: gait cycles before the episode times out.
@@ -44,14 +51,16 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneBatch:
-    """Many planar scenes as arrays: what the generators make and the surrogate environment runs.
+    """Many scenes as arrays: what the generators make and the surrogate environment runs.
+
+    Planar scenes (d = 2) hold the ground plan of cylinders, scenes in space (d = 3) spheres.
 
     Attributes:
-        targets: (n, 2) m.
+        targets: (n, d) m.
         orientations: (n, 4) start attitudes, unit quaternions w x y z.
-        centres: (n, m, 2) obstacle centres at time 0, m; unused ones are `FAR` away with radius 0.
+        centres: (n, m, d) obstacle centres at time 0, m; unused ones are `FAR` away with radius 0.
         radii: (n, m) m.
-        velocities: (n, m, 2) m/s.
+        velocities: (n, m, d) m/s.
         goal_radius: m.
         max_cycles: gait cycles before the episode times out.
     """
@@ -68,21 +77,23 @@ class SceneBatch:
         return len(self.targets)
 
     @property
-    def yaw(self) -> np.ndarray:
-        """Return the (n,) start headings of level attitudes, rad."""
-        return 2 * np.arctan2(self.orientations[:, 3], self.orientations[:, 0])
+    def dimension(self) -> int:
+        """Return d: 2 in the plane, 3 in space."""
+        return self.targets.shape[1]
 
     def scenes(self, meta: list[dict] | None = None) -> list[Scene]:
         """Return the batch as a list of `Scene` (padding dropped), with `meta` of each."""
+        shape = "cylinder" if self.dimension == 2 else "sphere"
         scenes = []
         for i in range(len(self)):
             real = self.radii[i] > 0
             scenes.append(
                 Scene(
-                    target=np.append(self.targets[i], 0.0),
-                    centres=_with_zero_height(self.centres[i, real]),
+                    target=_in_space(self.targets[i]),
+                    centres=_in_space(self.centres[i, real]),
                     radii=self.radii[i, real].copy(),
-                    velocities=_with_zero_height(self.velocities[i, real]),
+                    velocities=_in_space(self.velocities[i, real]),
+                    shape=shape,
                     orientation=self.orientations[i].copy(),
                     goal_radius=self.goal_radius,
                     max_cycles=self.max_cycles,
@@ -93,17 +104,25 @@ class SceneBatch:
 
     @classmethod
     def of(cls, scenes: list[Scene]) -> SceneBatch:
-        """Return scenes of cylinders, which share goal radius and time-out, as one batch."""
+        """Return scenes, which share shape, goal radius and time-out, as one batch.
+
+        Raises:
+            DefplanError: some scenes have cylinders and some spheres.
+        """
+        shapes = {scene.shape for scene in scenes}
+        if len(shapes) > 1:
+            raise DefplanError("a batch of scenes has cylinders or spheres, not both: split it")
         n, m = len(scenes), max((len(scene.radii) for scene in scenes), default=0)
-        centres, radii = np.full((n, m, 2), FAR), np.zeros((n, m))
-        velocities = np.zeros((n, m, 2))
+        d = 3 if "sphere" in shapes else 2
+        centres, radii = np.full((n, m, d), FAR), np.zeros((n, m))
+        velocities = np.zeros((n, m, d))
         for i, scene in enumerate(scenes):
             k = len(scene.radii)
-            centres[i, :k] = scene.centres[:, :2]
+            centres[i, :k] = scene.centres[:, :d]
             radii[i, :k] = scene.radii
-            velocities[i, :k] = scene.velocities[:, :2]
+            velocities[i, :k] = scene.velocities[:, :d]
         return cls(
-            targets=np.array([scene.target[:2] for scene in scenes]).reshape(n, 2),
+            targets=np.array([scene.target[:d] for scene in scenes]).reshape(n, d),
             orientations=np.array([scene.orientation for scene in scenes]).reshape(n, 4),
             centres=centres,
             radii=radii,
@@ -139,7 +158,7 @@ def scene_batch(
     generator: np.random.Generator,
     *,
     directions: np.ndarray,
-    yaw: np.ndarray,
+    orientations: np.ndarray,
     distances: np.ndarray,
     counts: np.ndarray,
     lateral: float,
@@ -149,12 +168,12 @@ def scene_batch(
     """Put obstacles of random size and place on the way to each target (Fig. 3 of the paper).
 
     An obstacle's centre lies 3 m to `distance` along the straight way and up to `lateral` beside
-    it; 3 m around the start and 2 m around the target stay clear. Short ways may hold fewer
-    obstacles than asked for.
+    it, in space on any side of it; 3 m around the start and 2 m around the target stay clear. Short
+    ways may hold fewer obstacles than asked for.
 
     Args:
-        directions: (n,) bearing of the targets, rad.
-        yaw: (n,) start headings, rad.
+        directions: (n, d) unit vectors to the targets.
+        orientations: (n, 4) start attitudes.
         distances: (n,) m.
         counts: (n,) obstacles wanted.
         lateral: m.
@@ -163,26 +182,24 @@ def scene_batch(
     """
     n, most = len(directions), int(counts.max(initial=0))
     tries = 6 * most + 16
-    along = np.stack([np.cos(directions), np.sin(directions)], axis=1)
-    beside = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    targets = distances[:, None] * along
+    targets = distances[:, None] * directions
     radius = generator.uniform(*radii, (n, tries))
     forward = generator.uniform(3.0, np.maximum(distances, 3.0)[:, None], (n, tries))
     sideways = generator.uniform(-lateral, lateral, (n, tries))
-    heading = generator.uniform(0, 2 * np.pi, (n, tries))
-    centre = forward[..., None] * along[:, None] + sideways[..., None] * beside[:, None]
+    course = random_directions(generator, n * tries, directions.shape[1]).reshape(n, tries, -1)
+    beside = _beside(directions, generator, tries)
+    centre = forward[..., None] * directions[:, None] + sideways[..., None] * beside
     clear = np.linalg.norm(centre, axis=2) >= radius + 3.0
     clear &= np.linalg.norm(centre - targets[:, None], axis=2) >= radius + 2.0
     chosen = np.argsort(~clear, axis=1, kind="stable")[:, :most]  # the first that are clear
     rows = np.arange(n)[:, None]
     used = clear[rows, chosen] & (np.arange(most) < counts[:, None])
-    course = np.stack([np.cos(heading), np.sin(heading)], axis=2)[rows, chosen]
     return SceneBatch(
         targets=targets,
-        orientations=level_attitude(yaw),
+        orientations=orientations,
         centres=np.where(used[..., None], centre[rows, chosen], FAR),
         radii=np.where(used, radius[rows, chosen], 0.0),
-        velocities=np.where(used[..., None], speed * course, 0.0),
+        velocities=np.where(used[..., None], speed * course[rows, chosen], 0.0),
         goal_radius=navigation.goal_radius,
         max_cycles=navigation.max_cycles,
     )
@@ -195,7 +212,10 @@ def k2_scenes(
     obstacles: int | None = None,
     obstacle_speed: float = 0.0,
 ) -> list[Scene]:
-    """Return the K2 scenes: evenly spread targets, a few obstacles on the way to each, heading 0.
+    """Return the K2 scenes: spread targets, a few obstacles on the way to each, start upright.
+
+    The targets are evenly spread around the circle; over the sphere they are a Poisson-disk sample of
+    the seed (`frames.spread_directions`).
 
     More episodes than targets go round the targets again, with new obstacles.
 
@@ -205,12 +225,14 @@ def k2_scenes(
     episodes = navigation.k2 if episodes is None else episodes
     obstacles = navigation.k2_obstacles if obstacles is None else obstacles
     _check(episodes, obstacles, obstacle_speed)
-    index = np.arange(episodes)
+    targets = spread_directions(
+        navigation.k2, navigation.dimension, np.random.default_rng([_K2_TARGETS_STREAM, seed])
+    )
     batch = scene_batch(
         navigation,
         np.random.default_rng([_K2_STREAM, seed]),
-        directions=2 * np.pi * (index % navigation.k2) / navigation.k2,
-        yaw=np.zeros(episodes),
+        directions=targets[np.arange(episodes) % navigation.k2],
+        orientations=level_attitude(np.zeros(episodes)),
         distances=np.full(episodes, navigation.distance),
         counts=np.full(episodes, obstacles),
         lateral=1.5,
@@ -226,7 +248,7 @@ def novel_scenes(
     obstacles: int | None = None,
     obstacle_speed: float = 0.0,
 ) -> list[Scene]:
-    """Return n scenes with a random target direction, a random heading and many obstacles.
+    """Return n scenes with a random target direction, a random start attitude and many obstacles.
 
     Raises:
         DefplanError: a count or speed is negative, or n is 0.
@@ -237,8 +259,8 @@ def novel_scenes(
     batch = scene_batch(
         navigation,
         generator,
-        directions=generator.uniform(0, 2 * np.pi, n),
-        yaw=generator.uniform(-np.pi, np.pi, n),
+        directions=random_directions(generator, n, navigation.dimension),
+        orientations=random_attitudes(generator, n, navigation.dimension),
         distances=np.full(n, navigation.distance),
         counts=np.full(n, obstacles),
         lateral=4.0,
@@ -253,8 +275,8 @@ def training_scenes(navigation: Navigation, n: int, seed: int) -> SceneBatch:
     return scene_batch(
         navigation,
         generator,
-        directions=generator.uniform(0, 2 * np.pi, n),
-        yaw=generator.uniform(-np.pi, np.pi, n),
+        directions=random_directions(generator, n, navigation.dimension),
+        orientations=random_attitudes(generator, n, navigation.dimension),
         distances=generator.uniform(0.3, 1.1, n) * navigation.distance,
         counts=generator.integers(0, navigation.novel_obstacles + 1, n),
         lateral=4.0,
@@ -268,26 +290,33 @@ def validation_scenes(navigation: Navigation, n: int, seed: int) -> SceneBatch:
     return scene_batch(
         navigation,
         generator,
-        directions=generator.uniform(0, 2 * np.pi, n),
-        yaw=generator.uniform(-np.pi, np.pi, n),
+        directions=random_directions(generator, n, navigation.dimension),
+        orientations=random_attitudes(generator, n, navigation.dimension),
         distances=np.full(n, navigation.distance),
         counts=np.full(n, navigation.novel_obstacles),
         lateral=4.0,
     )
 
 
-def level_attitude(yaw: float | np.ndarray) -> np.ndarray:
-    """Return the (..., 4) unit quaternions w x y z of upright bodies with headings `yaw` (...,), rad."""
-    half, zero = np.asarray(yaw, float) / 2, np.zeros(np.shape(yaw))
-    return np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
-
-
 def _labels(kind: str, seed: int, n: int) -> list[dict]:
     return [{"kind": kind, "seed": seed, "index": i} for i in range(n)]
 
 
-def _with_zero_height(points: np.ndarray) -> np.ndarray:
-    return np.column_stack([points, np.zeros(len(points))])
+def _beside(along: np.ndarray, generator: np.random.Generator, tries: int) -> np.ndarray:
+    """Return unit vectors (n, tries or 1, d) orthogonal to `along` (n, d): left of it, or any."""
+    if along.shape[1] == 2:
+        return np.stack([-along[:, 1], along[:, 0]], axis=1)[:, None]
+    least = np.eye(3)[np.abs(along).argmin(1)]  # the axis that is farthest from parallel
+    first = np.cross(along, least)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    angle = generator.uniform(0, 2 * np.pi, (len(along), tries, 1))
+    return np.cos(angle) * first[:, None] + np.sin(angle) * np.cross(along, first)[:, None]
+
+
+def _in_space(points: np.ndarray) -> np.ndarray:
+    """Return copies of points (..., 2 or 3) as points (..., 3), at height 0 if they are planar."""
+    spare = [(0, 0)] * (points.ndim - 1) + [(0, 3 - points.shape[-1])]
+    return np.pad(points, spare)
 
 
 def _check(episodes: int, obstacles: int, speed: float) -> None:

@@ -18,8 +18,10 @@ class Shield:
     """A planner that wraps another one and devalues gaits that lead into what the laser sees.
 
     A gait is safe if the surrogate knows a sequence of cycles that begins with it and keeps the
-    body's disc clear of every laser point by a margin. If no gait is, a shorter sequence and a
-    smaller margin must do; if none is left, the gait that stays farthest from the points.
+    ball that holds the body clear of every laser point by a margin. If no gait is, a shorter
+    sequence and a smaller margin must do; if none is left, the gait that stays farthest from the
+    points. A robot that is within the margin already may move away, or turn in its place as long as
+    half the margin is left: turns slip a little, and many of them must not add up to a hit.
 
     Args:
         planner: to be shielded.
@@ -36,8 +38,9 @@ class Shield:
         levels: tuple[tuple[int, float], ...] = LEVELS,
     ) -> None:
         self.planner, self.levels = planner, levels
-        self.radius, self.laser_range = surrogate.radius, navigation.laser_range
-        self.tree = MotionTree(surrogate.planar(), max(depth for depth, _ in levels))
+        self.radius, self.navigation = surrogate.radius, navigation
+        deepest = max(depth for depth, _ in levels)
+        self.tree = MotionTree(surrogate.motions(navigation.space), deepest)
 
     def reset(self) -> None:
         """Reset the wrapped planner."""
@@ -46,11 +49,11 @@ class Shield:
     def values(self, observation: Observation) -> np.ndarray:
         """Return the planner's values, those of unsafe gaits lowered below all others."""
         values = self.planner.values(observation)
-        safe = self.safe(laser_points(observation["laser"], self.laser_range))
+        safe = self.safe(laser_points(observation["laser"], self.navigation))
         return np.where(safe, values, values - (np.ptp(values) + 1.0))
 
     def safe(self, points: np.ndarray) -> np.ndarray:
-        """Return (K,) which gaits are safe among the (p, 2) points, at least one of them."""
+        """Return (K,) which gaits are safe among the (p, d) points, at least one of them."""
         gaits = self.tree.gaits
         if not len(points):
             return np.ones(gaits, bool)
@@ -59,9 +62,9 @@ class Shield:
         leaves = from_end > from_start
         for depth, margin in self.levels:
             close = from_way < (self.radius + margin) ** 2
-            # Who is inside the margin already may move away, though not touch.
             leaving = leaves & (from_start < (self.radius + margin) ** 2)
-            hits = touches | (close & ~leaving)
+            turning = self.tree.in_place & (from_way > (self.radius + margin / 2) ** 2)
+            hits = touches | (close & ~leaving & ~turning)
             safe = self.tree.first_gaits(~np.any(hits, axis=0), depth)
             if safe.any():
                 return safe

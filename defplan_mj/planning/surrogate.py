@@ -4,13 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from defplan_mj import files
+from defplan_mj.planning.frames import frames_of
+from defplan_mj.task import SPACES
 
 FORMAT_VERSION = 1
+
+
+class Motions(NamedTuple):
+    """What a cycle of each gait does, in the frame at its start (see `planning.frames`).
+
+    Attributes:
+        rotations: (K, d, d).
+        translations: (K, d) m.
+    """
+
+    rotations: np.ndarray
+    translations: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -42,10 +56,10 @@ class Surrogate:
     translation_sd: np.ndarray
     radius: float
 
-    def planar(self) -> np.ndarray:
-        """Return (K, 3): forward and left displacement (m) and yaw (rad) of each task."""
-        yaw = np.arctan2(self.rotations[:, 1, 0], self.rotations[:, 0, 0])
-        return np.column_stack([self.translations[:, :2], yaw])
+    def motions(self, space: str) -> Motions:
+        """Return the tasks' motions in a space: all of them in 'spatial', in 'planar' the level part."""
+        d = SPACES[space]
+        return Motions(frames_of(self.rotations, d), self.translations[:, :d])
 
     def save(self, path: str | Path) -> None:
         """Write the surrogate to `path` (npz), atomically."""

@@ -1,4 +1,4 @@
-"""Many robots at once on the rigid surrogate f_fit, among cylinders: laser, collisions, targets.
+"""Many robots at once on the rigid surrogate f_fit, among obstacles: laser, collisions, targets.
 
 All arrays are float32 and all loops run over whole arrays, so that a planner can be trained on
 hundreds of thousands of transitions in seconds.
@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from defplan_mj.planning.beams import beam_directions
+from defplan_mj.planning.frames import angles, attitude_frames, renewed, turns
 from defplan_mj.planning.scenes import SceneBatch
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
@@ -22,60 +24,52 @@ COLLISION_PENALTY = 1000.0
 
 def scan(
     position: np.ndarray,
-    yaw: np.ndarray,
+    frames: np.ndarray,
     centres: np.ndarray,
     radii: np.ndarray,
-    beams: int,
+    directions: np.ndarray,
     laser_range: float,
 ) -> np.ndarray:
-    """Return the (n, beams) distances to the nearest circle along each beam, at most the range.
+    """Return the (n, beams) distances to the nearest ball along each beam, at most the range.
 
-    Beam k of robot i points yaw_i + 2 pi k / beams. From inside a circle every distance is 0.
+    A ball is a circle in the plane (d = 2) and a sphere in space (d = 3). From inside one every
+    distance is 0.
 
     Args:
-        position: (n, 2) m.
-        yaw: (n,) rad.
-        centres: (n, m, 2) m.
-        radii: (n, m) m; circles of radius 0 are not there.
+        position: (n, d) m.
+        frames: (n, d, d), see `planning.frames`.
+        centres: (n, m, d) m.
+        radii: (n, m) m; balls of radius 0 are not there.
+        directions: (beams, d) unit vectors in the robot's frame.
         laser_range: m.
     """
-    n = len(position)
+    n, beams = len(position), len(directions)
     distances = np.full((n, beams), laser_range, np.float32)
     offset = centres - position[:, None]
+    away2 = np.einsum("nmd,nmd->nm", offset, offset)
     reach = laser_range + radii
-    near = (np.einsum("nmd,nmd->nm", offset, offset) < reach * reach) & (radii > 0)
-    robot, circle = np.nonzero(near)
-    if not len(robot):
-        return distances
-    angle = np.arange(beams) * (2 * np.pi / beams)
-    beam_x, beam_y = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
-    world_x, world_y = offset[robot, circle, 0], offset[robot, circle, 1]
-    cosine, sine = np.cos(yaw)[robot], np.sin(yaw)[robot]
-    x = (cosine * world_x + sine * world_y)[:, None]
-    y = (cosine * world_y - sine * world_x)[:, None]
-    radius = radii[robot, circle][:, None]
-    along = x * beam_x + y * beam_y
-    across = y * beam_x - x * beam_y
-    half_chord = radius * radius - across * across  # squared
-    hit = (half_chord > 0) & (along > 0)
-    along -= np.sqrt(np.maximum(half_chord, 0, out=half_chord), out=half_chord)
-    depth = np.where(hit, along, np.float32(laser_range))
-    inside = (x * x + y * y <= radius * radius)[:, 0]
-    depth[inside] = 0
-    first = np.flatnonzero(np.diff(robot, prepend=-1))  # circles come sorted by robot
-    nearest = np.minimum.reduceat(depth, first, axis=0)
-    distances[robot[first]] = np.minimum(nearest, distances[robot[first]])
+    robot, ball = np.nonzero((away2 < reach * reach) & (radii > 0))
+    # A beam hits if it is longer than the tangent to the ball where it passes the centre.
+    radius = radii[robot, ball]
+    tangent2 = away2[robot, ball] - radius * radius
+    along = (offset @ frames)[robot, ball] @ directions.T
+    hit = along > np.sqrt(np.maximum(tangent2, 0))[:, None]
+    pair, beam = np.divmod(np.flatnonzero(hit), beams)  # few: it pays to go on with these alone
+    middle = along[pair, beam]
+    depth = middle - np.sqrt(np.maximum(middle * middle - tangent2[pair], 0))
+    np.minimum.at(distances.reshape(-1), robot[pair] * beams + beam, depth)
+    distances[robot[tangent2 <= 0]] = 0
     return distances
 
 
 def segment_distance(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return the distance of points to segments; all arguments (..., 2), broadcast together."""
+    """Return the distance of points to segments; all arguments (..., d), broadcast together."""
     edge = end - start
     offset = point - start
-    length = np.maximum((edge * edge).sum(-1), 1e-12)
-    share = np.clip((offset * edge).sum(-1) / length, 0, 1)
+    length = np.maximum(np.einsum("...d,...d->...", edge, edge), 1e-12)
+    share = np.clip(np.einsum("...d,...d->...", offset, edge) / length, 0, 1)
     gap = offset - share[..., None] * edge
-    return np.sqrt((gap * gap).sum(-1))
+    return np.sqrt(np.einsum("...d,...d->...", gap, gap))
 
 
 @dataclass(frozen=True)
@@ -83,7 +77,7 @@ class Transition:
     """What one cycle of all n robots did.
 
     Attributes:
-        laser, target: (n, beams) m and (n, 2) m: the new observation, after any reset.
+        laser, target: (n, beams) m and (n, d) m: the new observation, after any reset.
         final_laser, final_target: the same before any reset: what the cycle led to.
         progress: (n,) distance to the target that the cycle gained, m.
         reward: (n,) Eq. 2.
@@ -102,13 +96,18 @@ class Transition:
 class SurrogateEnv:
     """n robots that each swim through scenes of a batch, on f_fit.
 
-    A robot collides when a disc of the surrogate's radius, moved straight from the start to the end
-    of the cycle, touches a circle at any time (a cycle can be longer than an obstacle is wide). An
-    episode ends at the goal, at a collision or at the scene's time-out.
+    A robot collides when a ball of the surrogate's radius, moved straight from the start to the end
+    of the cycle, touches an obstacle at any time (a cycle can be longer than an obstacle is wide).
+    An episode ends at the goal, at a collision or at the scene's time-out.
+
+    Attributes:
+        position: (n, d) m.
+        frames: (n, d, d), see `planning.frames`.
+        goal, centres, radii, velocities, cycles: of each robot's episode.
 
     Args:
         surrogate: f_fit.
-        navigation: for the laser.
+        navigation: for the laser; its space is the scenes'.
         batch: the scenes.
         n: robots, which enter scenes picked at random and begin anew when an episode ends. By
             default there is one robot for each scene and no new episode.
@@ -129,57 +128,63 @@ class SurrogateEnv:
         self.n, self.endless = (len(batch), False) if n is None else (n, True)
         self.generator = np.random.default_rng(0) if generator is None else generator
         self.noise = noise
-        self.motions = surrogate.planar().astype(np.float32)
+        d = navigation.dimension
+        motions = surrogate.motions(navigation.space)
+        self.rotations = motions.rotations.astype(np.float32)
+        self.translations = motions.translations.astype(np.float32)
+        self.rotation_noise = np.float32(noise) * surrogate.rotation_sd.astype(np.float32)
+        self.translation_noise = np.float32(noise) * surrogate.translation_sd.astype(np.float32)
+        self.beams = beam_directions(navigation.beams, navigation.space).astype(np.float32)
         self.seconds = np.float32(surrogate.cycle_seconds)
+        self.bank_frames = attitude_frames(batch.orientations, d).astype(np.float32)
         self.bank_centres = batch.centres.astype(np.float32)
         self.bank_radii = batch.radii.astype(np.float32)
         self.bank_velocities = batch.velocities.astype(np.float32)
         most = self.bank_radii.shape[1]
-        self.position = np.zeros((self.n, 2), np.float32)
-        self.yaw = np.zeros(self.n, np.float32)
-        self.goal = np.zeros((self.n, 2), np.float32)
-        self.centres = np.zeros((self.n, most, 2), np.float32)
+        self.position = np.zeros((self.n, d), np.float32)
+        self.frames = np.zeros((self.n, d, d), np.float32)
+        self.goal = np.zeros((self.n, d), np.float32)
+        self.centres = np.zeros((self.n, most, d), np.float32)
         self.radii = np.zeros((self.n, most), np.float32)
-        self.velocities = np.zeros((self.n, most, 2), np.float32)
+        self.velocities = np.zeros((self.n, most, d), np.float32)
         self.cycles = np.zeros(self.n, np.int64)
         self.scene = np.zeros(self.n, np.int64)
         self.reset()
 
     def reset(self) -> tuple[np.ndarray, np.ndarray]:
-        """Start a new episode for every robot; return the (n, beams) laser and (n, 2) target."""
+        """Start a new episode for every robot; return the (n, beams) laser and (n, d) target."""
         everyone = np.arange(self.n)
         self._enter(everyone, self._pick(self.n) if self.endless else everyone)
         return self.observe()
 
     def observe(self, robots: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-        """Return the laser distances (n, beams) and the target in the yaw frame (n, 2), m."""
-        position, yaw = self.position[robots], self.yaw[robots]
+        """Return the laser distances (n, beams) and the target in the robots' frames (n, d), m."""
+        position, frames = self.position[robots], self.frames[robots]
         laser = scan(
             position,
-            yaw,
+            frames,
             self.centres[robots],
             self.radii[robots],
-            self.navigation.beams,
+            self.beams,
             self.navigation.laser_range,
         )
-        offset = self.goal[robots] - position
-        return laser, _rotate(offset, -yaw)
+        return laser, np.einsum("nij,ni->nj", frames, self.goal[robots] - position)
 
     def step(self, actions: np.ndarray) -> Transition:
         """Move every robot by one cycle of its gait `actions` (n,)."""
-        motion = self.motions[actions]
+        rotation, translation = self.rotations[actions], self.translations[actions]
         if self.noise:
-            motion = self._scatter(motion, actions)
+            rotation, translation = self._scatter(rotation, translation, actions)
         start = self.position
-        end = start + _rotate(motion[:, :2], self.yaw)
+        end = start + np.einsum("nij,nj->ni", self.frames, translation)
         drift = self.velocities * self.seconds
         # Seen from an obstacle, the robot moves from `start` to `end - drift`.
         gap = segment_distance(self.centres, start[:, None], end[:, None] - drift)
         collision = ((gap < self.radii + self.surrogate.radius) & (self.radii > 0)).any(1)
-        reached = np.sum((self.goal - end) ** 2, 1) < self.batch.goal_radius**2
         before = np.sum((self.goal - start) ** 2, 1)
         after = np.sum((self.goal - end) ** 2, 1)
-        self.position, self.yaw = end, _wrap(self.yaw + motion[:, 2])
+        reached = after < self.batch.goal_radius**2
+        self.position, self.frames = end, renewed(self.frames @ rotation)
         self.centres = self.centres + drift
         self.cycles += 1
         outcome = np.full(self.n, RUNNING)
@@ -210,24 +215,22 @@ class SurrogateEnv:
         """Put `robots` at the start of `scenes`."""
         self.scene[robots] = scenes
         self.position[robots] = 0
-        self.yaw[robots] = self.batch.yaw[scenes]
+        self.frames[robots] = self.bank_frames[scenes]
         self.goal[robots] = self.batch.targets[scenes]
         self.centres[robots] = self.bank_centres[scenes]
         self.radii[robots] = self.bank_radii[scenes]
         self.velocities[robots] = self.bank_velocities[scenes]
         self.cycles[robots] = 0
 
-    def _scatter(self, motion: np.ndarray, actions: np.ndarray) -> np.ndarray:
-        """Return the motions with normal noise on yaw and on forward and left displacement."""
-        spread = np.column_stack(
-            [
-                self.surrogate.translation_sd,
-                self.surrogate.translation_sd,
-                self.surrogate.rotation_sd,
-            ]
-        ).astype(np.float32)
-        noise = self.generator.standard_normal(motion.shape, np.float32)
-        return motion + np.float32(self.noise) * spread[actions] * noise
+    def _scatter(
+        self, rotation: np.ndarray, translation: np.ndarray, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the motions with normal noise on each part of the translation and of the turn."""
+        d = translation.shape[1]
+        noise = self.generator.standard_normal((self.n, d + angles(d)), np.float32)
+        noise[:, :d] *= self.translation_noise[actions, None]
+        noise[:, d:] *= self.rotation_noise[actions, None]
+        return rotation @ turns(noise[:, d:]), translation + noise[:, :d]
 
 
 @dataclass(frozen=True)
@@ -250,7 +253,7 @@ class SurrogateRuns:
 
 
 Act = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-"""act(laser (a, beams), target (a, 2), robots (a,)) returns the gaits (a,) of these robots."""
+"""act(laser (a, beams), target (a, d), robots (a,)) returns the gaits (a,) of these robots."""
 
 
 def run_on_surrogate(
@@ -271,22 +274,9 @@ def run_on_surrogate(
     laser, target = env.observe()
     while (running := np.flatnonzero(outcome == RUNNING)).size:
         gaits[running] = act(laser[running], target[running], running)
-        if noise:
-            env.motions = env.motions
         step = env.step(gaits)
         reward[running] += step.reward[running]
         cycles[running] += 1
         outcome[running] = step.outcome[running]
         laser, target = step.laser, step.target
     return SurrogateRuns(outcome, cycles, reward)
-
-
-def _rotate(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Return (n, 2) vectors turned by (n,) angles."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    x, y = vectors[:, 0], vectors[:, 1]
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)
-
-
-def _wrap(angle: np.ndarray) -> np.ndarray:
-    return (angle + np.float32(np.pi)) % np.float32(2 * np.pi) - np.float32(np.pi)
