@@ -98,9 +98,9 @@ class Weights:
         upright: in the plane, of the mean squared excess of the squared tilt over (15 degrees)^2,
             1/rad^4.
         sink: in the plane, of the squared change of depth, 1/m^2.
-        off_plane: of the mean squared target shape, in units of the amplitude, in modes that do not
-            bend the body sideways: a fish swims with its tail, not like a corkscrew. 0: gaits use
-            all modes alike, from the start on.
+        effort: of the mean squared target shape, in units of the amplitude.
+        sideways: gaits are to bend the body sideways, as a fish's: they start in the modes that do,
+            and effort counts in the others only (else a fish swims like a corkscrew).
         sharpness: of the mean squared beta.
     """
 
@@ -111,7 +111,8 @@ class Weights:
     tilt: float = 1.0
     upright: float = 10.0
     sink: float = 20.0
-    off_plane: float = 0.0
+    effort: float = 0.0
+    sideways: bool = False
     sharpness: float = 1e-3
 
 

@@ -127,7 +127,7 @@ class Alternating:
         for start in range(self.starts):
             done = start * self.start_rounds
             tell = partial(_tell, progress, "gait: straight task", done, 1, total)
-            w = _random_gait(alone, rng)
+            w = alone.random_gait(rng)
             w, stage = self._alternate(
                 alone, [[0] * self.start_cycles], 2, w, self.start_rounds, tell
             )
@@ -212,15 +212,6 @@ def _tell(
 def _of_w_alone(problem: GaitProblem) -> ca.Function:
     w = ca.MX.sym("w", problem.n_w)
     return ca.Function("regularisation", [w], [problem.regularisation(w)])
-
-
-def _random_gait(alone: GaitProblem, rng: np.random.Generator) -> np.ndarray:
-    """Return w of one task: any phases, a little motion, mostly in the modes that bend sideways."""
-    d, r = alone.elements, alone.dynamics.nu
-    share = 0.05 + 0.95 * alone.mode_share
-    mu = rng.uniform(0, 2 * np.pi, (d, r))
-    alpha = 0.3 * share * rng.normal(size=(1, d, r))
-    return alone.join(mu, alpha, 1 + 0.3 * rng.normal(size=(1, d, r)))
 
 
 SOLVER = Alternating()

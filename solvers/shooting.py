@@ -95,15 +95,10 @@ class Shooting:
         self, problem: GaitProblem, rng: np.random.Generator, trace: _Trace
     ) -> tuple[np.ndarray, dict]:
         """Optimise the straight task alone from a random start, and spread it to all tasks."""
-        d, r = problem.elements, problem.dynamics.nu
         task = min(range(problem.n_tasks), key=lambda j: problem.tasks[j].angle)
         alone = problem.alone(task)
-        share = 0.05 + 0.95 * problem.mode_share
-        mu = rng.uniform(0, 2 * np.pi, (d, r))
-        alpha = 0.3 * share * rng.normal(size=(1, d, r))
-        beta = 1 + 0.3 * rng.normal(size=(1, d, r))
         cost = alone.objective([[0] * self.start_cycles], settle=2)
-        w0 = alone.join(mu, alpha, beta)
+        w0 = alone.random_gait(rng)
         w, stage = self._minimise(alone, cost, w0, self.start_iterations, trace)
         mu, alpha, beta = alone.split(w)
         return self._spread(problem, task, mu, alpha[0], beta[0]), stage

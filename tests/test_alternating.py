@@ -25,7 +25,7 @@ def problem(small_fish: Body) -> GaitProblem:
         GaitTask("left", turn=(0, 0, 0.6), move=(0.3, 0, 0)),
     )
     return GaitProblem(
-        ReducedDynamics(small_fish), tasks, 6, 18, elements=3, weights=Weights(off_plane=0.15)
+        ReducedDynamics(small_fish), tasks, 6, 18, elements=3, weights=Weights(effort=0.15, sideways=True)
     )
 
 

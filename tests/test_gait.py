@@ -101,7 +101,7 @@ def test_the_objective_is_the_cost_of_the_simulated_cycles(
     _, _, beta = problem.split(unknowns)
     share, amplitude = lateral_share(dynamics.body), dynamics.body.amplitude
     effort = ((shapes / amplitude) ** 2).mean((0, 1)) @ (1 - share)
-    wanted = np.mean(costs) + weights.off_plane * effort + weights.sharpness * (beta**2).mean()
+    wanted = np.mean(costs) + weights.effort * effort + weights.sharpness * (beta**2).mean()
     assert value == pytest.approx(wanted, rel=1e-9)
 
 

@@ -101,10 +101,18 @@ class GaitProblem:
         )
 
     @cached_property
-    def mode_share(self) -> np.ndarray:
-        """(r,) how much a gait is to use each mode, 0 to 1: see `Weights.off_plane`."""
+    def sideways(self) -> np.ndarray:
+        """(r,) how much of each mode bends the body sideways, 0 to 1; 0 if the gaits need not."""
         body = self.dynamics.body
-        return lateral_share(body) if self.weights.off_plane else np.ones(body.n_modes)
+        return lateral_share(body) if self.weights.sideways else np.zeros(body.n_modes)
+
+    def random_gait(self, rng: np.random.Generator) -> np.ndarray:
+        """Return w of any phases and a little motion: of all modes, or mostly sideways."""
+        d, r, k = self.elements, self.dynamics.nu, self.n_tasks
+        share = 0.05 + 0.95 * self.sideways if self.weights.sideways else np.ones(r)
+        mu = rng.uniform(0, 2 * np.pi, (d, r))
+        alpha = 0.3 * share * rng.normal(size=(k, d, r))
+        return self.join(mu, alpha, 1 + 0.3 * rng.normal(size=(k, d, r)))
 
     # --- the DMP
 
@@ -247,13 +255,13 @@ class GaitProblem:
         )
 
     def regularisation(self, w: ca.MX) -> ca.MX:
-        """Return the part of the objective that is of w alone: off-plane effort and sharpness."""
+        """Return the part of the objective that is of w alone: effort and sharpness."""
         body, n = self.dynamics.body, self.n_tasks * self.steps_per_cycle
-        off_plane = (1 - self.mode_share) / body.amplitude**2
+        counted = (1 - self.sideways) / body.amplitude**2
         effort = ca.sum2(self.dmp(w) ** 2) / n
         beta = w[self.n_phases * (1 + self.n_tasks) :]
         return (
-            self.weights.off_plane * ca.dot(off_plane, effort)
+            self.weights.effort * ca.dot(counted, effort)
             + self.weights.sharpness * ca.sumsqr(beta) / beta.numel()
         )
 
