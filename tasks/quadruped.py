@@ -5,18 +5,30 @@ from __future__ import annotations
 import numpy as np
 from dm_control.utils import containers
 
-from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec
+from defplan_mj.body.model import Medium
+from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec, Weights
 from defplan_tasks import swimming
 from defplan_tasks.painting import blend, rise, to_picture
 
-TURN, ADVANCE = 0.5, 0.5  # wanted of a cycle: rad, m
+TURN, ADVANCE = 0.45, 0.55  # wanted of a cycle: rad, m
 
 SWIM = TaskSpec(
     name="quadruped-swim",
     description="a 4-legged body swims like a jellyfish to targets among spheres, in three dimensions",
     mesh=swimming.ASSETS / "quadruped.obj",
-    body=BodyOptions(vertices=1054, modes=10, basis=31, samples=16, amplitude=1.5, length=1.0),
-    timestep=0.04,
+    # Drag on the legs is what it swims by: with 64 patches a gait goes 30% farther than in the full
+    # model, with 192 15%. Nothing rights it: all attitudes are alike.
+    body=BodyOptions(
+        vertices=1054,
+        modes=10,
+        basis=60,
+        samples=24,
+        patches=192,
+        amplitude=1.5,
+        length=1.0,
+        medium=Medium(righting_height=0.0),
+    ),
+    timestep=0.05,
     steps_per_cycle=9,
     # The body's own axis is +z: bell first, legs behind. A turn tilts it to one of the four sides.
     gait_tasks=(
@@ -26,7 +38,8 @@ SWIM = TaskSpec(
         GaitTask("right", turn=(TURN, 0.0, 0.0), move=(0.0, 0.0, 0.0)),
         GaitTask("forward", move=(0.0, 0.0, ADVANCE)),
     ),
-    gait_steps=200,
+    gait_steps=100,
+    weights=Weights(turn=6.0, move=6.0, drift=6.0, roll=1.0, effort=0.1),
     axis=(0.0, 0.0, 1.0),
     navigation=Navigation(k2=30, beams=128, space="spatial"),
     # Tables I to III; hours are the paper's own.

@@ -25,7 +25,12 @@ def problem(small_fish: Body) -> GaitProblem:
         GaitTask("left", turn=(0, 0, 0.6), move=(0.3, 0, 0)),
     )
     return GaitProblem(
-        ReducedDynamics(small_fish), tasks, 6, 18, elements=3, weights=Weights(effort=0.15, sideways=True)
+        ReducedDynamics(small_fish),
+        tasks,
+        6,
+        18,
+        elements=3,
+        weights=Weights(effort=0.15, sideways=True),
     )
 
 
