@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from defplan_mj import files, registry, threads
+from defplan_mj.dynamics.terrain import terrain_json
 from defplan_mj.rivals import SWITCHING_CYCLES
 from defplan_mj.store import RunFolder, file_hash, read_config
 from defplan_mj.task import Progress, TaskSpec, no_progress
@@ -139,7 +140,7 @@ class Run:
         """The reduced dynamics of the body at the task's time step."""
         from defplan_mj.dynamics.reduced import ReducedDynamics
 
-        return ReducedDynamics(self.body, self.spec.timestep)
+        return ReducedDynamics(self.body, self.spec.timestep, self.spec.terrain)
 
     @cached_property
     def gait(self) -> Gait:
@@ -174,6 +175,7 @@ class Run:
             "space": spec.navigation.space,
             "weights": dataclasses.asdict(spec.weights),
             "axis": spec.axis,
+            "terrain": None if spec.terrain is None else terrain_json(spec.terrain),
             "switching": SWITCHING_CYCLES,
         }
 

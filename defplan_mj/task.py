@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from defplan_mj.body.model import Material, Medium
+from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.errors import DefplanError
 
 SPACES = {"planar": 2, "spatial": 3}
@@ -170,6 +171,7 @@ class TaskSpec:
         weights: of the gaits' objective.
         axis: the body's own axis, a unit vector of its frame: where it heads, and what a turn in
             space is about to tilt.
+        terrain: what the robot walks on; None: it swims.
         navigation: the second stage.
         gait_solver, planner, feedback: default plugins, by name.
         rivals: gait solvers that the report compares with, if they are installed.
@@ -186,6 +188,7 @@ class TaskSpec:
     gait_steps: int = 200
     weights: Weights = Weights()
     axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    terrain: Terrain | None = None
     navigation: Navigation = Navigation()
     gait_solver: str = "shooting"
     planner: str = "dql"

@@ -83,7 +83,7 @@ def evaluate(
         chosen = novel_scenes(navigation, count, seed, obstacles, obstacle_speed)
     planner = run.planner
     if log is not None:
-        parts = RunFiles.of(run.body, run.gait, run.surrogate, run.policy)
+        parts = RunFiles.of(run.body, run.gait, run.surrogate, run.policy, run.spec.terrain)
         log = dataclasses.replace(log, parts=parts)
     context = {
         "task": run.spec.name,

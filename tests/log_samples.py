@@ -179,14 +179,14 @@ def record_episode(
     outcome: str | None = "success",
     scene: Scene | None = None,
     files: RunFiles | None = None,
-    contacts: Callable[[int], tuple[np.ndarray, np.ndarray]] | None = None,
+    contacts: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> dict[str, np.ndarray]:
     """Log a made-up episode: every cycle is the surrogate's motion and then a known error.
 
     Args:
         error: metres the truth ends left of the prediction, and radians it heads more to the left.
         outcome: None leaves the log without an end.
-        contacts: step -> points and forces; None: nothing pushes.
+        contacts: of `Recorder`.
 
     Returns:
         what was logged: time, states, target_shapes, clearance, gait_index, values, reward, laser.
@@ -203,7 +203,7 @@ def record_episode(
     kept |= {k: [] for k in ("gait_index", "values", "reward", "laser")}
     kept["time"].append(0.0)
     kept["states"].append(x)
-    with Recorder(path, files, surface=surface_of(files.body)) as recorder:
+    with Recorder(path, files, surface_of(files.body), contacts) as recorder:
         context = {"task": "bar-swim", "seed": 3, "planner": "greedy", "shield": True}
         context |= {"timestep": TIMESTEP, "state": x, "episode": 4}
         context |= {"navigation": {"laser_range": 8.0}}
@@ -222,8 +222,7 @@ def record_episode(
                 middle = np.append(start[:3] + part * (goal[:3] - start[:3]), goal[3:])
                 x = state(goal if part == 1 else middle, rng)
                 shape, clearance = table[gait_index, i], rng.uniform(0.1, 2)
-                pushing = contacts(step) if contacts else None
-                recorder.step(step * TIMESTEP, x, shape, clearance, pushing)
+                recorder.step(step * TIMESTEP, x, shape, clearance)
                 kept["time"].append(step * TIMESTEP)
                 for name, value in (("states", x), ("target_shapes", shape)):
                     kept[name].append(value)
@@ -239,7 +238,7 @@ def record_episode(
     return {name: np.array(value) for name, value in kept.items()}
 
 
-def swimming_body(folder: Path) -> Body:
+def swimming_body(folder: Path, medium: Medium | None = None) -> Body:
     """Return a small flat ellipsoid that the kernel can simulate."""
     import trimesh
 
@@ -249,7 +248,9 @@ def swimming_body(folder: Path) -> Body:
     mesh = trimesh.creation.icosphere(subdivisions=3)
     mesh.apply_scale([0.5, 0.12, 0.2])
     mesh.export(folder / "pebble.stl")
-    options = BodyOptions(vertices=200, modes=3, basis=10, samples=10, patches=24)
+    options = BodyOptions(
+        vertices=200, modes=3, basis=10, samples=10, patches=24, medium=medium or Medium()
+    )
     return build_body(folder / "pebble.stl", options)
 
 

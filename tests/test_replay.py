@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from log_samples import (
+    TIMESTEP,
     record_swim,
+    sample_scene,
     spatial_scene,
     swimming_body,
     swimming_gait,
@@ -16,11 +18,23 @@ from log_samples import (
 )
 
 from defplan_mj import registry
+from defplan_mj.body.model import Medium
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.terrain import (
+    Heightfield,
+    Terrain,
+    TerrainGeom,
+    terrain_json,
+    terrain_of,
+)
 from defplan_mj.errors import DefplanError
 from defplan_mj.log.poses import rotation_matrix
 from defplan_mj.log.reader import read_log
+from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.replay import replay_log, write_video
 from defplan_mj.log.run_files import RunFiles
+
+RIDGE = (TerrainGeom("plane"), TerrainGeom("box", (0.5, 0.1, 0.2), (3.0, 0.0, 0.0)))
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +85,41 @@ def test_a_log_with_feedback_replays_its_target_shapes_to_the_bit(path, tmp_path
     result = replay_log(log)
     assert result.identical, result.sentence()
     assert result.simulators == ("kernel", "mujoco") and result.steps == 33
+
+
+def test_a_log_of_a_body_on_the_ground_holds_the_ground_and_its_forces(tmp_path):
+    air = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
+    body, ground = swimming_body(tmp_path, air), Terrain(friction=0.55, geoms=RIDGE)
+    dynamics = ReducedDynamics(body, TIMESTEP, ground)
+    x = dynamics.rest_state()
+    path = tmp_path / "ground.mcap"
+    with Recorder(path, RunFiles.of(body, terrain=ground)) as recorder:
+        recorder.begin({"timestep": TIMESTEP, "state": x}, sample_scene())
+        for i in range(120):
+            shape = np.array([0.3 * np.sin(0.5 * i), 0, 0]) * (i < 60)  # then it comes to rest
+            x = dynamics.step(x, shape)
+            recorder.step((i + 1) * TIMESTEP, x, shape, 1.0)
+        recorder.end("timeout")
+    log = read_log(path)
+    assert log.terrain == ground
+    assert np.ptp([contact.forces[:, 2].sum() for contact in log.contacts[:30]]) > 1
+    weight = body.mass * 9.81
+    np.testing.assert_allclose(log.contacts[-1].forces.sum(0), [0, 0, weight], atol=0.02 * weight)
+    assert np.abs(log.contacts[-1].points[:, 2]).max() < 0.02  # on the ground, not on the ridge
+    result = replay_log(log)
+    assert result.identical and result.steps == 120
+    parts = {name: data for name, data in log.attachments.items() if name != "terrain.json"}
+    assert not replay_log(replace(log, attachments=parts)).identical  # without it the body falls
+
+
+def test_a_terrain_is_the_same_after_a_way_through_a_file():
+    heights = np.random.default_rng(0).normal(size=(4, 5))
+    ground = Terrain(RIDGE, Heightfield(heights, (2.0, 3.0), (0.1, 0.2, 0.3)), 0.7, thickness=0.02)
+    again = terrain_of(json.loads(json.dumps(terrain_json(ground))))
+    assert replace(again, heightfield=None) == replace(ground, heightfield=None)
+    np.testing.assert_array_equal(again.heightfield.heights, heights)
+    assert again.heightfield.half_size == (2.0, 3.0)
+    assert again.heightfield.position == (0.1, 0.2, 0.3)
 
 
 def test_the_body_did_move(path):

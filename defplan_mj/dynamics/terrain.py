@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -74,6 +75,28 @@ class Terrain:
     slip_speed: float = 0.01
     thickness: float | None = None
     stiffness: float | None = None
+
+
+def terrain_json(terrain: Terrain) -> dict[str, Any]:
+    """Return a terrain as plain data, its numbers to the bit."""
+    data = asdict(terrain)
+    if terrain.heightfield is not None:
+        data["heightfield"]["heights"] = np.asarray(terrain.heightfield.heights).tolist()
+    return data
+
+
+def terrain_of(data: dict[str, Any]) -> Terrain:
+    """Return the terrain of `terrain_json`, also after a way through a JSON file."""
+    geoms = (TerrainGeom(**{k: _tuple(v) for k, v in geom.items()}) for geom in data["geoms"])
+    field = data["heightfield"]
+    if field is not None:
+        heights = np.array(field["heights"], float)
+        field = Heightfield(heights, _tuple(field["half_size"]), _tuple(field["position"]))
+    return Terrain(**{**data, "geoms": tuple(geoms), "heightfield": field})
+
+
+def _tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:

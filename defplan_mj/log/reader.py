@@ -23,6 +23,7 @@ from mcap.records import Attachment, Channel, Chunk, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 
 from defplan_mj.body.model import Body
+from defplan_mj.dynamics.terrain import Terrain, terrain_of
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log import schemas
@@ -84,7 +85,8 @@ class EpisodeLog:
         timestep: s.
         configuration: what the run was told to do, as it was given to the recorder.
         versions: what it was run with.
-        attachments: file name -> bytes: 'body.npz', 'gait.npz', 'surrogate.npz', 'policy...'.
+        attachments: file name -> bytes: 'body.npz', 'gait.npz', 'surrogate.npz', 'policy...',
+            'terrain.json'.
         scene: the navigation problem.
         time: (n + 1,) s.
         states: (n + 1, nx), to the bit.
@@ -148,6 +150,13 @@ class EpisodeLog:
     def surrogate(self) -> Surrogate:
         """The attached surrogate. Raises DefplanError if the log has none."""
         return self._part(Surrogate, "surrogate.npz")
+
+    @cached_property
+    def terrain(self) -> Terrain | None:
+        """What the body walks on; None: it swims."""
+        if "terrain.json" not in self.attachments:
+            return None
+        return terrain_of(json.loads(self.attachments["terrain.json"]))
 
     @property
     def task_names(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import platform
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.writer import Writer
@@ -29,6 +29,9 @@ from defplan_mj.log.messages import (
 from defplan_mj.log.poses import predict, rotation_matrix, space_of
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.planning.scenes import Scene
+
+if TYPE_CHECKING:
+    from defplan_mj.dynamics.reduced import Contacts
 
 CHUNK_SECONDS = 1.0
 """Simulated seconds in a chunk: what a log that is cut loses at most."""
@@ -62,6 +65,8 @@ class Recorder:
         path: the log's final name.
         files: what is attached: body, gait, surrogate, policy.
         surface: x -> (n_s, 3) world points of `body.surface`; None: of the reduced dynamics.
+        contacts: x -> points (n, 3) at which the terrain pushes, m, and the forces (n, 3) on the
+            body of the step that led to x, N; None: of the reduced dynamics, if there is a terrain.
         mesh_every: the drawn surface is logged every so many steps (0: never).
     """
 
@@ -70,12 +75,13 @@ class Recorder:
         path: str | Path,
         files: RunFiles,
         surface: Callable[[np.ndarray], np.ndarray] | None = None,
+        contacts: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None,
         mesh_every: int = 2,
     ) -> None:
         self.path = Path(path)
         self.partial = self.path.with_suffix(PARTIAL_SUFFIX)
         self._files = files
-        self._given_surface = surface
+        self._given_surface, self._contacts = surface, contacts
         self._mesh_every = mesh_every
         self._writer: Writer | None = None
 
@@ -102,7 +108,10 @@ class Recorder:
             # here, not above: reading a log needs no compiled kernel
             from defplan_mj.dynamics.reduced import ReducedDynamics
 
-            self._surface = ReducedDynamics(self._files.body, given["timestep"]).surface
+            dynamics = ReducedDynamics(self._files.body, given["timestep"], self._files.terrain)
+            self._surface = dynamics.surface
+            if self._contacts is None and dynamics.terrain is not None:
+                self._contacts = lambda x: _pair(dynamics.contacts(x))
         self._scene = scene
         self._moving = bool(np.any(scene.velocities))
         self._spatial = space_of(scene) == "spatial"
@@ -146,14 +155,7 @@ class Recorder:
         self._write_state(now, wire.timestamp(now), x)
         self._flush(time)
 
-    def step(
-        self,
-        time: float,
-        x: np.ndarray,
-        target_shape: np.ndarray,
-        clearance: float,
-        contacts: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> None:
+    def step(self, time: float, x: np.ndarray, target_shape: np.ndarray, clearance: float) -> None:
         """Log one physics step.
 
         Args:
@@ -161,8 +163,6 @@ class Recorder:
             x: (nx,) state at its end; kept to the bit.
             target_shape: (r,) control that led to x; kept to the bit.
             clearance: smallest distance from body to obstacle at x, m (negative: in collision).
-            contacts: points (n, 3) at which the ground pushes, m, and its forces (n, 3) on the body
-                over the step, N; logged as often as the surface. None: nothing pushes here.
         """
         if time - self._chunk_time >= CHUNK_SECONDS:
             self._flush(time)
@@ -174,8 +174,8 @@ class Recorder:
         self._write_state(now, stamp, x)
         self._numbers(schemas.TARGET_SHAPE, now, stamp, target_shape)
         self._numbers(schemas.CONTACTS, now, stamp, np.array([clearance, clearance < 0]))
-        if contacts is not None and self._mesh_every and self._steps % self._mesh_every == 0:
-            points, forces = (np.asarray(part, float).reshape(-1, 3) for part in contacts)
+        if self._contacts is not None and self._drawn:
+            points, forces = self._contacts(x)
             self._write(schemas.FORCES, now, contact_forces(points, forces, now))
             scale = _WEIGHT_ARROW / (self._files.body.mass * _GRAVITY)
             self._write(schemas.ARROWS, now, force_arrows(points, forces, scale, now))
@@ -300,13 +300,18 @@ class Recorder:
         self._numbers(schemas.STATE, now, stamp, x)
         self._write(schemas.TF, now, wire.frame_transform(stamp, self._frames, pose))
         self._write(schemas.COM, now, wire.pose_in_frame(stamp, self._frame, pose))
-        if not self._mesh_every or self._steps % self._mesh_every:
+        if not self._drawn:
             return
         points = (self._surface(x)[self._rows] - x[:3]) @ rotation_matrix(x[3:7])
         points = np.rint(points * (1 / _MESH_GRID)) * _MESH_GRID
         self._write(schemas.MESH, now, self._mesh.encode(stamp, points))
         if self._moving and self._steps:
             self._write(schemas.SCENE, now, scene_update(self._scene, now))
+
+    @property
+    def _drawn(self) -> bool:
+        """Whether what is made for looking is logged at this step."""
+        return self._mesh_every > 0 and self._steps % self._mesh_every == 0
 
     def _numbers(self, topic: str, now: int, stamp: bytes, values: np.ndarray) -> None:
         message = wire.labelled_numbers(stamp, self._labels[topic], values)
@@ -347,6 +352,10 @@ def versions() -> dict[str, str]:
         except importlib.metadata.PackageNotFoundError:
             continue
     return {**found, "system": platform.system(), "machine": platform.machine()}
+
+
+def _pair(contacts: Contacts) -> tuple[np.ndarray, np.ndarray]:
+    return contacts.points, contacts.forces
 
 
 def _laser_range(context: Mapping[str, Any]) -> float:

@@ -1,8 +1,9 @@
-"""What every log of a run holds besides its episode: body, gait, surrogate, policy."""
+"""What every log of a run holds besides its episode: body, gait, surrogate, policy, terrain."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import tempfile
 from collections.abc import Mapping
 from functools import cached_property
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from defplan_mj.body.model import Body
+from defplan_mj.dynamics.terrain import Terrain, terrain_json
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.decimate import decimate
@@ -19,16 +21,18 @@ from defplan_mj.planning.surrogate import Surrogate
 
 @dataclasses.dataclass(frozen=True)
 class RunFiles:
-    """What every log of a run holds besides the episode, encoded once: body, gait, surrogate, policy.
+    """What every log of a run holds besides the episode, encoded once.
 
     Attributes:
         body, gait, surrogate: as loaded.
+        terrain: what the body walks on; None: it swims.
         attachments: file name -> bytes, as they go into the log.
     """
 
     body: Body
     gait: Gait | None = None
     surrogate: Surrogate | None = None
+    terrain: Terrain | None = None
     attachments: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
 
     @classmethod
@@ -38,6 +42,7 @@ class RunFiles:
         gait: Gait | None = None,
         surrogate: Surrogate | None = None,
         policy: str | Path | None = None,
+        terrain: Terrain | None = None,
     ) -> RunFiles:
         """Encode the run's parts; `policy` is the planner's file, if it has one."""
         attachments = {}
@@ -49,7 +54,9 @@ class RunFiles:
                     attachments[path.name] = path.read_bytes()
         if policy is not None:
             attachments[f"policy{Path(policy).suffix}"] = _read(policy)
-        return cls(body, gait, surrogate, attachments)
+        if terrain is not None:
+            attachments["terrain.json"] = json.dumps(terrain_json(terrain)).encode()
+        return cls(body, gait, surrogate, terrain, attachments)
 
     @cached_property
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:

@@ -51,7 +51,8 @@ class Material:
         """The body's reduced dynamics, at the gait's time step if there is a gait."""
         if self.body is None:
             return None
-        return ReducedDynamics(self.body, self.gait.timestep if self.gait else 0.04)
+        timestep = self.gait.timestep if self.gait else 0.04
+        return ReducedDynamics(self.body, timestep, self.spec.terrain if self.spec else None)
 
     @property
     def config(self) -> dict[str, Any]:
@@ -93,7 +94,7 @@ class Material:
     @property
     def legged(self) -> bool:
         """Whether gaits are seen better from the side: in space, and on the ground."""
-        return self.space == "spatial" or getattr(self.spec, "terrain", None) is not None
+        return self.space == "spatial" or (self.spec is not None and self.spec.terrain is not None)
 
     @property
     def switching(self) -> dict[str, Any]:
