@@ -8,6 +8,7 @@ empty call of the same kind is stated beside them.
 from __future__ import annotations
 
 import ctypes
+import dataclasses
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -25,10 +26,11 @@ from defplan_mj.kernel import library
 from defplan_mj.planning.scenes import Scene, novel_scenes, training_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv
-from defplan_mj.task import Progress, TaskSpec, no_progress
+from defplan_mj.task import Navigation, Progress, TaskSpec, no_progress
 
 OBSTACLES = 10
 ENVIRONMENTS = 256
+_GEOM_TYPES = {"sphere": 2, "cylinder": 5}  # MuJoCo's
 VIGOUR = 0.9  # of the largest amplitude a gait may ask for
 
 
@@ -152,7 +154,7 @@ class Kernel:
         )  # fmt: skip
         geoms = (library.Geom * len(scene.radii))()
         for geom, centre, radius in zip(geoms, scene.centres, scene.radii, strict=True):
-            geom.type = 5  # cylinder
+            geom.type = _GEOM_TYPES[scene.shape]
             geom.size[:] = (radius, 3.0, 0.0)
             geom.pos[:] = tuple(centre)
             geom.mat[:] = tuple(np.eye(3).ravel())
@@ -201,10 +203,11 @@ def bench(
     progress("bench: clearance and laser", 0.2)
     scene = novel_scenes(spec.navigation, 1, 0, OBSTACLES)[0]
     clearance = measure(kernel.clearance(states[-1][: 7 + body.n_modes], scene), 5000 // few)
-    environment = _environment(spec, body, gait, scene)
-    laser = measure(environment.physics.laser, 5000 // few)
+    planar = _sensing(spec, body, gait, "planar", 5000 // few)
+    spatial = _sensing(spec, body, gait, "spatial", 5000 // few)
 
     progress("bench: environment", 0.3)
+    environment = _environment(spec.navigation, body, gait, scene)
     cycle = _environment_cycles(environment, 200 // few)
 
     progress("bench: surrogate", 0.4)
@@ -223,7 +226,10 @@ def bench(
         "full_fem_step_ms": round(full.median * 1e3, 1),
         "mujoco_flex_step_ms": {key: round(value, 2) for key, value in flex.items()},
         "surrogate_transitions_per_s": round(ENVIRONMENTS / surrogate.median),
-        "laser_scan_us": round(laser.median * 1e6, 1),
+        "laser_scan_us": planar["laser"],
+        "spherical_laser_scan_us": spatial["laser"],
+        "observation_us": planar["observation"],
+        "spatial_observation_us": spatial["observation"],
         "rollout_step_us": round(rollout.median * 1e6 / min(len(shapes), 1100), 2),
         "newton_iterations": round(float(iterations), 2),
         "rollout_two_thread_speed_up": round(speed_up, 2),
@@ -288,15 +294,23 @@ def _decisions(dynamics: ReducedDynamics, gait: Gait, space: str, cycles: int) -
     return found
 
 
-def _environment(spec: TaskSpec, body: Body, gait: Gait, scene: Scene) -> Any:
+def _environment(navigation: Navigation, body: Body, gait: Gait, scene: Scene) -> Any:
     """Return the navigation environment in `scene`."""
     from defplan_mj.host.navigation import navigation_environment
 
-    environment = navigation_environment(
-        body, gait, spec.navigation, lambda random: scene, scene=scene
-    )
+    environment = navigation_environment(body, gait, navigation, lambda random: scene, scene=scene)
     environment.reset()
     return environment
+
+
+def _sensing(spec: TaskSpec, body: Body, gait: Gait, space: str, repeats: int) -> dict[str, float]:
+    """Time laser scans and whole observations, laser included, in a scene of `space`; medians, us."""
+    navigation = dataclasses.replace(spec.navigation, space=space)
+    scene = novel_scenes(navigation, 1, 0, OBSTACLES)[0]
+    environment = _environment(navigation, body, gait, scene)
+    physics, task = environment.physics, environment.task
+    calls = {"laser": physics.laser, "observation": lambda: task.get_observation(physics)}
+    return {name: round(measure(call, repeats).median * 1e6, 1) for name, call in calls.items()}
 
 
 def _environment_cycles(environment: Any, repeats: int) -> Timing:

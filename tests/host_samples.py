@@ -8,7 +8,7 @@ import functools
 import numpy as np
 
 from defplan_mj.body.build import build_body
-from defplan_mj.body.model import Body
+from defplan_mj.body.model import Body, Medium
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.physics import Physics
@@ -30,6 +30,14 @@ def fish() -> Body:
 def quadruped() -> Body:
     """Return a coarse 4-legged body; on fewer vertices its legs would be lost."""
     return _coarse(quadruped_domain.SWIM, 450)
+
+
+@functools.cache
+def walker() -> Body:
+    """Return the coarse 4-legged body in the air."""
+    air = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
+    spec = quadruped_domain.SWIM
+    return _coarse(dataclasses.replace(spec, body=dataclasses.replace(spec.body, medium=air)), 450)
 
 
 def _coarse(spec: TaskSpec, vertices: int) -> Body:

@@ -55,12 +55,20 @@ def test_all_promised_figures_are_there_and_the_table_shows_them(small_fish):
     assert set(data["reduced_step_us"]) == {"fish"}
     assert set(data["reduced_step_us"]["fish"]) == {"median", "p99"}
     assert set(data["mujoco_flex_step_ms"]) == {"full", "trilinear"}
-    for name in ("full_fem_step_ms", "surrogate_transitions_per_s", "laser_scan_us"):
+    sensing = (
+        "laser_scan_us",
+        "spherical_laser_scan_us",
+        "observation_us",
+        "spatial_observation_us",
+    )
+    for name in ("full_fem_step_ms", "surrogate_transitions_per_s", *sensing):
         assert data[name] > 0
     assert set(data["feedback_decision_us"]) == {"ilqg"} == set(data["feedback_real_time_factor"])
     decision, step = data["feedback_decision_us"]["ilqg"], data["reduced_step_us"]["fish"]
     assert (
         decision["median"] > 10 * step["median"]
     )  # its horizon alone is 5 steps, and more than once
+    assert data["observation_us"] > data["laser_scan_us"]
+    assert data["spatial_observation_us"] > data["spherical_laser_scan_us"]
     text = bench_text(data)
     assert "reduced step" in text and "not to be quoted" in text

@@ -302,6 +302,6 @@ def test_gait_beyond_the_bodys_amplitude_is_refused():
 
 
 def test_task_before_a_reset_says_so():
-    task = Navigate(samples.gait(), _sampler)
+    task = Navigate(samples.gait(), _sampler, samples.dynamics().rest_state())
     with pytest.raises(DefplanError, match="reset the environment first"):
         task.get_reward(samples.physics())

@@ -113,6 +113,9 @@ def bench_text(data: dict[str, Any]) -> str:
             "",
         ],
         [f"laser scan, {is_of['beams']} beams", f"{data['laser_scan_us']:.1f} µs", ""],
+        ["  spherical", f"{data['spherical_laser_scan_us']:.1f} µs", ""],
+        ["observation, planar", f"{data['observation_us']:.1f} µs", ""],
+        ["  spatial", f"{data['spatial_observation_us']:.1f} µs", ""],
         ["clearance", f"{data['clearance_us']:.1f} µs", ""],
         ["environment, per physics step", f"{cycle['median']:.1f} µs", f"{cycle['p99']:.1f} µs"],
     ]

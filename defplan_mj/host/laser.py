@@ -5,11 +5,13 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from defplan_mj.host.ground import TERRAIN_GROUP
 from defplan_mj.host.scene import DECOR_GROUP
 from defplan_mj.planning.beams import beam_directions
 from defplan_mj.task import SPACES
 
-_GROUPS = np.array([group != DECOR_GROUP for group in range(mujoco.mjNGROUP)], np.uint8)
+_UNSEEN = (DECOR_GROUP, TERRAIN_GROUP)
+_GROUPS = np.array([group not in _UNSEEN for group in range(mujoco.mjNGROUP)], np.uint8)
 SPACE_OF = {dimension: space for space, dimension in SPACES.items()}
 
 
@@ -25,7 +27,7 @@ def scan(
     """Return the (beams,) distances to the nearest geom, m; `laser_range` where there is none.
 
     The beams are those of `planning.beams`: around a circle in a planar frame, over a sphere in a
-    spatial one. Geoms of the decor group, invisible ones and those of the body `bodyexclude` are not
+    spatial one. Geoms of the decor and terrain groups, invisible ones and those of the body `bodyexclude` are not
     seen; nor are sites and skins.
 
     Args:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import collections
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
 from dm_control.rl import control
 from dm_control.suite import base
 from dm_env import specs
 
 from defplan_mj.body.model import Body
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.errors import DefplanError
 from defplan_mj.feedback import Feedback, OpenLoop
 from defplan_mj.gait.gait import Gait
@@ -22,6 +25,7 @@ from defplan_mj.planning.scenes import Scene
 from defplan_mj.task import Navigation
 
 COLLISION_PENALTY = 1000.0  # Eq. 2
+_LEAN, _SUNK = 0.5, 0.5  # a fall: cosine of the up axis' tilt, and share of the standing height
 
 SceneSampler = Callable[[np.random.RandomState], Scene]
 StepHook = Callable[[Physics, np.ndarray], None]
@@ -37,9 +41,12 @@ class Navigate(base.Task):
     is the horizontal one, so that drifting up or down is neither a way out nor held against the
     robot. In space obstacles are spheres and the distance is that in space.
 
+    On a terrain the episode also ends at the physics step where the robot falls: where its up axis
+    leans by more than 60 degrees, or its centre of mass is below half of its standing height.
+
     Attributes:
         scene: of this episode; setting it takes effect at the next reset.
-        outcome: 'running', 'success', 'collision' or 'timeout'.
+        outcome: 'running', 'success', 'collision', 'fall' or 'timeout'.
         cycles: gait cycles begun in this episode.
         closest: smallest clearance of this episode, m, at most 1.
         step_hook: called with the physics and the target shape (r,) after every physics step.
@@ -49,6 +56,7 @@ class Navigate(base.Task):
         self,
         gait: Gait,
         sampler: SceneSampler,
+        rest: np.ndarray,
         *,
         scene: Scene | None = None,
         feedback: Feedback | None = None,
@@ -60,6 +68,7 @@ class Navigate(base.Task):
         Args:
             gait: its tasks are the actions.
             sampler: draws the scene of an episode; not used once `scene` is set.
+            rest: (13 + 2r,) the state at rest, where the robot starts.
             scene: keep to this one.
             feedback: plays the gaits; None: as they are, in open loop.
             time_limit: s, ends the episode as a timeout.
@@ -77,6 +86,8 @@ class Navigate(base.Task):
         self._scene = scene
         self._time_limit = time_limit
         self._before = np.zeros(3)
+        self._rest = rest
+        self._standing = 0.0
 
     @property
     def scene(self) -> Scene | None:
@@ -88,7 +99,7 @@ class Navigate(base.Task):
         self._fixed = scene
 
     def initialize_episode(self, physics: Physics) -> None:
-        """Place the robot at rest at the origin, in its scene.
+        """Place the robot at rest at the origin, or standing on its terrain there, in its scene.
 
         Raises:
             DefplanError: the scene is of another space than the robot navigates in.
@@ -96,8 +107,9 @@ class Navigate(base.Task):
         self._scene = self._fixed if self._fixed is not None else self._sampler(self.random)
         _check_space(physics.space, self._scene)
         physics.set_scene(self._scene)
-        state = np.zeros(13 + 2 * physics.n_modes)
-        state[3:7] = self._scene.orientation
+        state, attitude = self._rest.copy(), self._scene.orientation
+        mujoco.mju_rotVecQuat(state[:3], self._rest[:3], attitude)
+        mujoco.mju_mulQuat(state[3:7], attitude, self._rest[3:7])
         physics.set_reduced_state(state)
         self._feedback.reset()
         self.outcome = "running"
@@ -121,6 +133,8 @@ class Navigate(base.Task):
                 f"there is no gait {index}: the actions are 0 to {len(self.gait.task_names) - 1}"
                 f" ({', '.join(self.gait.task_names)})"
             )
+        if self.cycles == 0:
+            self._standing = physics.height()
         self.cycles += 1
         self._before = physics.com()
         self._feedback.begin(index, physics.reduced_state())
@@ -134,9 +148,14 @@ class Navigate(base.Task):
             self.outcome = "collision"
         elif self.distance(physics) <= self._here().goal_radius:
             self.outcome = "success"
+        elif physics.walks and self._fallen(physics):
+            self.outcome = "fall"
         if self.step_hook is not None:
             self.step_hook(physics, target_shape)
         return self.outcome != "running"
+
+    def _fallen(self, physics: Physics) -> bool:
+        return physics.upright() < _LEAN or physics.height() < _SUNK * self._standing
 
     def after_step(self, physics: Physics) -> None:
         """Time out after the scene's number of cycles."""
@@ -163,7 +182,7 @@ class Navigate(base.Task):
         return float(before @ before - after @ after - collision)
 
     def get_termination(self, physics: Physics) -> float | None:
-        """Return the last discount: 0 at success and collision, 1 at a timeout; None if not over."""
+        """Return the last discount: 1 at a timeout, 0 at another end; None if not over."""
         if self.outcome == "running":
             return None
         return 1.0 if self.outcome == "timeout" else 0.0
@@ -235,6 +254,7 @@ def navigation_environment(
     navigation: Navigation,
     sampler: SceneSampler,
     *,
+    terrain: Terrain | None = None,
     scene: Scene | None = None,
     feedback: Feedback | None = None,
     time_limit: float = float("inf"),
@@ -247,6 +267,7 @@ def navigation_environment(
     Args:
         navigation: the space, beams and range of the laser, goal and limits of sampled scenes.
         sampler: draws scenes with the task's generator.
+        terrain: what the robot walks on; without it it swims.
         scene: keep to this one; later ones are set as `env.task.scene`.
         feedback: prepared for this gait; None: open loop.
         time_limit: s; a scene's own max_cycles holds anyway.
@@ -273,10 +294,18 @@ def navigation_environment(
         beams=navigation.beams,
         laser_range=navigation.laser_range,
         space=navigation.space,
+        terrain=terrain,
         texture=texture_of(body),
     )
+    rest = ReducedDynamics(body, gait.timestep, terrain).rest_state()
     task = Navigate(
-        gait, sampler, scene=scene, feedback=feedback, time_limit=time_limit, random=random
+        gait,
+        sampler,
+        rest,
+        scene=scene,
+        feedback=feedback,
+        time_limit=time_limit,
+        random=random,
     )
     return control.Environment(
         Physics.from_mjmodel(compile_model(spec)),

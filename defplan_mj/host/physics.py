@@ -10,9 +10,10 @@ import numpy as np
 from dm_control.mujoco import engine, wrapper
 
 from defplan_mj.host import contact, laser
+from defplan_mj.host.ground import height_above
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.plugin import load_plugin
-from defplan_mj.host.scene import ROBOT, TARGET
+from defplan_mj.host.scene import ROBOT, TARGET, TERRAIN
 from defplan_mj.kernel.library import kernel
 from defplan_mj.planning.scenes import Scene
 
@@ -115,6 +116,15 @@ class Physics(engine.Physics):
         In the plane the heading and what lies to its left (d = 2), in space the body's own axes (d = 3).
         """
         return self.yaw_frame()[:, :2] if self.space == "planar" else self.orientation()
+
+    @property
+    def walks(self) -> bool:
+        """Whether there is a terrain."""
+        return mujoco.mj_name2id(self.model.ptr, mujoco.mjtObj.mjOBJ_NUMERIC, TERRAIN) >= 0
+
+    def height(self) -> float:
+        """Return the height of the centre of mass above the terrain straight below, m; -1 if none."""
+        return height_above(self.model.ptr, self.data.ptr, self.com())
 
     def upright(self) -> float:
         """Return the cosine of the angle between the body's up and the vertical."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from defplan_mj import files
 from defplan_mj.body.model import Body
+from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.errors import DefplanError
 from defplan_mj.host import skin
 from defplan_mj.host.obstacles import set_scene, space_of
@@ -129,6 +130,7 @@ def render_states(
     *,
     timestep: float = 0.04,
     trail: bool = True,
+    terrain: Terrain | None = None,
 ) -> list[np.ndarray]:
     """Draw states in their scene: a video, a picture, or frames.
 
@@ -142,6 +144,7 @@ def render_states(
             way from straight above, to scale; 'overview' from behind and above.
         timestep: s.
         trail: draw the way of the centre of mass.
+        terrain: what the robot walks on.
 
     Returns:
         The frames, (height, width, 3) uint8, if `path` is None, else an empty list.
@@ -154,7 +157,7 @@ def render_states(
     times = timestep * np.arange(len(states))
     wanted = times[-1:] if still else np.arange(0.0, times[-1] + 0.5 * timestep, 1 / fps)
     indices = np.minimum(np.round(wanted / timestep).astype(int), len(states) - 1)
-    frames = _frames(body, states, scene, size, camera, timestep, indices, trail)
+    frames = _frames(body, states, scene, size, camera, timestep, indices, trail, terrain)
     if path is None:
         return list(frames)
     _write(frames, Path(path), fps, still)
@@ -170,16 +173,21 @@ def _frames(
     timestep: float,
     indices: Sequence[int],
     trail: bool,
+    terrain: Terrain | None,
 ) -> Iterator[np.ndarray]:
     room = 0 if scene is None else len(scene.radii)
     space = "planar" if scene is None else space_of(scene)
     texture = skin.texture_of(body)
-    spec = build_spec(body, timestep, max_obstacles=room, space=space, texture=texture)
+    spec = build_spec(
+        body, timestep, max_obstacles=room, space=space, terrain=terrain, texture=texture
+    )
     model = compile_model(spec)
     data = mujoco.MjData(model)
     if scene is None:
         model.site_rgba[:, 3] = 0
         model.site_matid[:] = -1
+    if camera == OVERVIEW:
+        model.vis.map.shadowclip *= 3  # at the rim of its map the shadow of the sea bed is grainy
     r = body.n_modes
     view = _camera(model, camera, states[:, :3], scene, size[1] / size[0])
     with Offscreen(model, *size) as offscreen:

@@ -6,8 +6,10 @@ import mujoco
 import numpy as np
 
 from defplan_mj.body.model import Body
+from defplan_mj.dynamics.terrain import Terrain, pack_terrain
 from defplan_mj.errors import DefplanError
 from defplan_mj.host import skin
+from defplan_mj.host.ground import add_terrain
 from defplan_mj.host.plugin import NAME as PLUGIN
 from defplan_mj.host.plugin import load_plugin
 from defplan_mj.kernel.pack import pack_body, pack_options
@@ -16,6 +18,7 @@ from defplan_mj.task import SPACES
 ROBOT = "robot"
 ROOT = "root"
 TARGET = "target"
+TERRAIN = "defplan_terrain"
 FLOOR_DEPTH = 4.0  # m below the start
 SOLID_HALF_HEIGHT = (
     20.0  # m, of upright cylinders: swimmers drift up and down, the problem is planar
@@ -35,6 +38,7 @@ def build_spec(
     beams: int = 64,
     laser_range: float = 10.0,
     space: str = "planar",
+    terrain: Terrain | None = None,
     texture: np.ndarray | None = None,
 ) -> mujoco.MjSpec:
     """Describe a robot with `body` that floats at the origin, a target, parked obstacles and cameras.
@@ -52,6 +56,7 @@ def build_spec(
         max_obstacles: how many obstacles a planning.scenes.Scene may have here.
         beams, laser_range: of the laser scanner; range in m.
         space: 'planar' or 'spatial', see task.Navigation; the laser is of the same kind.
+        terrain: what the robot stands on, in the air; without it it swims.
         texture: of the skin, see `skin.add_skin`.
     """
     load_plugin()
@@ -61,7 +66,11 @@ def build_spec(
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.nuser_body = 3  # velocity of a mocap obstacle
     _add_looks(spec)
-    if space == "planar":  # in space it is open water all around
+    _add_chequer(spec)
+    if terrain is not None:
+        spec.add_numeric(name=TERRAIN, data=pack_terrain(terrain, body))
+        add_terrain(spec, terrain, "grid")
+    elif space == "planar":  # in space it is open water all around
         _add_sea_bed(spec)
     _add_robot(spec, body, timestep, normalised_controls, space)
     skin.add_skin(spec, body, ROBOT, "self", texture)
@@ -104,6 +113,7 @@ def _add_robot(
         "body": "defplan_body",
         "options": "defplan_options",
         "scale": "defplan_scale",
+        "terrain": TERRAIN,
     }
 
     masses, points = body.vertex_mass, body.vertices
@@ -225,8 +235,8 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
         spec.add_material(name=f"{name}_highlight", rgba=highlight)
 
 
-def _add_sea_bed(spec: mujoco.MjSpec) -> None:
-    """Add a chequered floor, which is a picture only."""
+def _add_chequer(spec: mujoco.MjSpec) -> None:
+    """Add the material of the ground."""
     spec.add_texture(
         name="grid",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -243,6 +253,10 @@ def _add_sea_bed(spec: mujoco.MjSpec) -> None:
     spec.add_material(
         name="grid", textures=textures, texrepeat=[0.5, 0.5], texuniform=True, reflectance=0.0
     )
+
+
+def _add_sea_bed(spec: mujoco.MjSpec) -> None:
+    """Add a floor, which is a picture only."""
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
