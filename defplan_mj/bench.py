@@ -180,7 +180,7 @@ def bench(
     few = 10 if quick else 1
     name = spec.name.split("-")[0]
     gait = vigorous_gait(body, spec.timestep, spec.steps_per_cycle)
-    dynamics = ReducedDynamics(body, spec.timestep)
+    dynamics = ReducedDynamics(body, spec.timestep, spec.terrain)
     kernel = Kernel(dynamics)
 
     progress("bench: reduced step", 0.0)
@@ -207,7 +207,7 @@ def bench(
     spatial = _sensing(spec, body, gait, "spatial", 5000 // few)
 
     progress("bench: environment", 0.3)
-    environment = _environment(spec.navigation, body, gait, scene)
+    environment = _environment(spec, spec.navigation, body, gait, scene)
     cycle = _environment_cycles(environment, 200 // few)
 
     progress("bench: surrogate", 0.4)
@@ -294,11 +294,15 @@ def _decisions(dynamics: ReducedDynamics, gait: Gait, space: str, cycles: int) -
     return found
 
 
-def _environment(navigation: Navigation, body: Body, gait: Gait, scene: Scene) -> Any:
+def _environment(
+    spec: TaskSpec, navigation: Navigation, body: Body, gait: Gait, scene: Scene
+) -> Any:
     """Return the navigation environment in `scene`."""
     from defplan_mj.host.navigation import navigation_environment
 
-    environment = navigation_environment(body, gait, navigation, lambda random: scene, scene=scene)
+    environment = navigation_environment(
+        body, gait, navigation, lambda random: scene, terrain=spec.terrain, scene=scene
+    )
     environment.reset()
     return environment
 
@@ -307,7 +311,7 @@ def _sensing(spec: TaskSpec, body: Body, gait: Gait, space: str, repeats: int) -
     """Time laser scans and whole observations, laser included, in a scene of `space`; medians, us."""
     navigation = dataclasses.replace(spec.navigation, space=space)
     scene = novel_scenes(navigation, 1, 0, OBSTACLES)[0]
-    environment = _environment(navigation, body, gait, scene)
+    environment = _environment(spec, navigation, body, gait, scene)
     physics, task = environment.physics, environment.task
     calls = {"laser": physics.laser, "observation": lambda: task.get_observation(physics)}
     return {name: round(measure(call, repeats).median * 1e6, 1) for name, call in calls.items()}

@@ -104,6 +104,7 @@ def evaluate(
         chosen,
         shield=shield,
         feedback=run.feedback_solver,
+        terrain=run.spec.terrain,
         recorder=log,
         context=context,
         progress=lambda _, fraction: progress(message, fraction),
@@ -131,5 +132,11 @@ def environment(run: Run, obstacles: int | None = None) -> Environment:
 
     feedback = run.feedback_solver.prepare(run.dynamics, run.gait, navigation.space)
     return navigation_environment(
-        run.body, run.gait, navigation, sampler, feedback=feedback, random=run.options.seed
+        run.body,
+        run.gait,
+        navigation,
+        sampler,
+        terrain=run.spec.terrain,
+        feedback=feedback,
+        random=run.options.seed,
     )

@@ -16,6 +16,7 @@ from defplan_mj.host.navigation import navigation_environment
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.render import render_states
 from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.planning.evaluation import evaluate
 from defplan_mj.task import Navigation
 
 TIMESTEP = 0.02
@@ -127,6 +128,28 @@ def test_terrain_is_no_obstacle_and_standing_is_no_fall(dynamics, still):
         environment.step(0)
     assert environment.task.outcome == "running" and environment.task.closest == 1.0
     assert physics.height() == pytest.approx(rest[2], rel=0.1)
+
+
+def test_an_evaluation_of_a_walker_is_on_its_terrain(still):
+    class Stand:
+        def reset(self):
+            pass
+
+        def values(self, observation):
+            return np.zeros(1)
+
+    ahead = samples.scene([], target=(5.0, 0.0, 0.0), max_cycles=3)
+    paths = []
+    for terrain in (Terrain(), None):
+        result = evaluate(
+            samples.walker(), still, None, Navigation(), Stand(), [ahead],
+            shield=False, terrain=terrain,
+        )  # fmt: skip
+        [episode] = result.episodes
+        assert episode.outcome == "timeout" and episode.cycles == 3
+        paths.append(episode.path)
+    # 0.6 s: it stands, or drops by g t^2 / 2 = 1.77 m
+    assert paths[0] < 0.05 and paths[1] == pytest.approx(1.77, abs=0.1)
 
 
 @pytest.mark.parametrize(("lean", "outcome"), [(50.0, "running"), (65.0, "fall")])

@@ -149,6 +149,7 @@ def _in_mujoco(log: EpisodeLog, progress: Progress) -> dict[str, np.ndarray]:
         log.gait,
         navigation,
         lambda random: log.scene,
+        terrain=log.terrain,
         scene=log.scene,
         feedback=None if open_loop else Recorded(log.target_shapes),
     )
@@ -275,4 +276,14 @@ def write_video(
     from defplan_mj.host.render import render_states
 
     log = log if isinstance(log, EpisodeLog) else read_log(log)
-    render_states(log.body, log.states, log.scene, video, size, fps, camera, timestep=log.timestep)
+    render_states(
+        log.body,
+        log.states,
+        log.scene,
+        video,
+        size,
+        fps,
+        camera,
+        timestep=log.timestep,
+        terrain=log.terrain,
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from dm_control.rl.control import Environment
 
     from defplan_mj.body.model import Body
+    from defplan_mj.dynamics.terrain import Terrain
     from defplan_mj.feedback import FeedbackSolver
     from defplan_mj.gait.gait import Gait
     from defplan_mj.planning.surrogate import Surrogate
@@ -208,6 +210,7 @@ def evaluate(
     *,
     shield: bool = True,
     feedback: FeedbackSolver | None = None,
+    terrain: Terrain | None = None,
     recorder: RecorderFactory | None = None,
     context: Mapping[str, Any] | None = None,
     workers: int | None = None,
@@ -219,6 +222,7 @@ def evaluate(
         planner: picklable.
         shield: wrap the planner in the safety shield.
         feedback: picklable, plays the gaits; None: open loop.
+        terrain: what the robot walks on; None: it swims.
         recorder: gives the recorders of those episodes that are to be logged.
         context: of the logs.
         workers: processes (default: one for each core, at most 2, and 1 for a few episodes).
@@ -227,7 +231,7 @@ def evaluate(
     if workers is None:
         workers = min(threads.available_cores(), 2) if len(scenes) >= PARALLEL_FROM else 1
     run = functools.partial(
-        _run_share, (body, gait, navigation, feedback), pilot, recorder, context
+        _run_share, (body, gait, navigation, feedback, terrain), pilot, recorder, context
     )
     numbered = list(enumerate(scenes))
     pieces = 1 if workers == 1 else 8 * workers
@@ -261,7 +265,7 @@ def _as_list(run: Callable[[_Share], Iterator[Episode]], share: _Share) -> Any:
 
 
 def _run_share(
-    robot: tuple[Body, Gait, Navigation, FeedbackSolver | None],
+    robot: tuple[Body, Gait, Navigation, FeedbackSolver | None, Terrain | None],
     pilot: Planner,
     recorder: RecorderFactory | None,
     context: Mapping[str, Any] | None,
@@ -282,13 +286,19 @@ _environments: dict[tuple[str, ...], Environment] = {}
 
 
 def _environment(
-    body: Body, gait: Gait, navigation: Navigation, feedback: FeedbackSolver | None
+    body: Body,
+    gait: Gait,
+    navigation: Navigation,
+    feedback: FeedbackSolver | None,
+    terrain: Terrain | None,
 ) -> Environment:
     """Return this process' environment, built once."""
     from defplan_mj.dynamics.reduced import ReducedDynamics
+    from defplan_mj.dynamics.terrain import terrain_json
     from defplan_mj.host.navigation import navigation_environment
 
-    key = (body.hash, gait.hash, repr(navigation), repr(feedback))
+    ground = "" if terrain is None else json.dumps(terrain_json(terrain))
+    key = (body.hash, gait.hash, repr(navigation), repr(feedback), ground)
     if key not in _environments:
         _environments.clear()
 
@@ -297,10 +307,10 @@ def _environment(
 
         prepared = None
         if feedback is not None:
-            dynamics = ReducedDynamics(body, gait.timestep)
+            dynamics = ReducedDynamics(body, gait.timestep, terrain)
             prepared = feedback.prepare(dynamics, gait, navigation.space)
         _environments[key] = navigation_environment(
-            body, gait, navigation, sampler, feedback=prepared
+            body, gait, navigation, sampler, terrain=terrain, feedback=prepared
         )
     return _environments[key]
 
