@@ -99,9 +99,11 @@ class Weights:
         upright: in the plane, of the mean squared excess of the squared tilt over (15 degrees)^2,
             1/rad^4.
         sink: in the plane, of the squared change of depth, 1/m^2.
-        effort: of the mean squared target shape, in units of the amplitude.
-        sideways: gaits are to bend the body sideways, as a fish's: they start in the modes that do,
-            and effort counts in the others only (else a fish swims like a corkscrew).
+        effort: of the mean squared target shape, in units of the amplitude; with a style, in modes
+            that are not of it.
+        style: which modes gaits start in, and use freely: 'any', 'sideways' (modes that bend the
+            body sideways: a fish swims with its tail, not like a corkscrew) or 'pulse' (modes that
+            are alike all around the body's own axis: a jellyfish opens and closes).
         sharpness: of the mean squared beta.
     """
 
@@ -113,7 +115,7 @@ class Weights:
     upright: float = 10.0
     sink: float = 20.0
     effort: float = 0.0
-    sideways: bool = False
+    style: str = "any"
     sharpness: float = 1e-3
 
 

@@ -22,7 +22,7 @@ SWIM = TaskSpec(
         GaitTask("right", turn=(0.0, 0.0, -0.8), move=(0.45, 0.0, 0.0)),
     ),
     gait_steps=200,
-    weights=Weights(effort=0.15, sideways=True),
+    weights=Weights(effort=0.15, style="sideways"),
     navigation=Navigation(),
     # Tables I to III; hours are the paper's own, tasks in its order: left, right, forward.
     paper={

@@ -39,7 +39,7 @@ SWIM = TaskSpec(
         GaitTask("forward", move=(0.0, 0.0, ADVANCE)),
     ),
     gait_steps=100,
-    weights=Weights(turn=6.0, move=6.0, drift=6.0, roll=1.0, effort=0.1),
+    weights=Weights(turn=6.0, move=6.0, drift=6.0, roll=1.0, effort=0.15, style="pulse"),
     axis=(0.0, 0.0, 1.0),
     navigation=Navigation(k2=30, beams=128, space="spatial"),
     # Tables I to III; hours are the paper's own.

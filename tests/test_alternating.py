@@ -30,7 +30,7 @@ def problem(small_fish: Body) -> GaitProblem:
         6,
         18,
         elements=3,
-        weights=Weights(effort=0.15, sideways=True),
+        weights=Weights(effort=0.15, style="sideways"),
     )
 
 

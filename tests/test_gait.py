@@ -15,7 +15,7 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait import switching
 from defplan_mj.gait.gait import Gait
-from defplan_mj.gait.problem import GaitProblem, balanced_sequence, lateral_share
+from defplan_mj.gait.problem import GaitProblem, balanced_sequence, lateral_share, pulse_share
 from defplan_mj.task import GaitTask, Weights
 from defplan_tasks.fish import SWIM
 
@@ -133,6 +133,28 @@ def test_the_lateral_share_tells_sideways_bending_from_the_rest(small_fish: Body
     np.testing.assert_allclose(
         lateral_share(dataclasses.replace(small_fish, modes=sway)), [1, 0], atol=0.01
     )
+
+
+def test_the_pulse_share_tells_opening_all_around_from_the_rest(small_fish: Body) -> None:
+    rng = np.random.default_rng(0)
+    radius, angle = np.sqrt(rng.uniform(0.01, 1, 4000)), rng.uniform(0, 2 * np.pi, 4000)
+    x, y, z = radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-0.1, 0.1, 4000)
+    modes = np.zeros((4000, 3, 4))
+    modes[:, :2, 0] = np.column_stack([x, y])  # opens
+    modes[:, 2, 1] = radius**2  # bends up all around
+    modes[:, :2, 2] = np.column_stack([x, -y])  # opens here, closes there
+    modes[:, :2, 3] = np.column_stack([-y, x])  # turns
+    disc = dataclasses.replace(
+        small_fish, vertices=np.column_stack([x, y, z]), vertex_mass=np.ones(4000), modes=modes
+    )
+    share = pulse_share(disc, np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(share, [1, 1, 0, 0], atol=0.08)
+
+
+def test_an_unknown_style_is_the_users_mistake(small_fish: Body) -> None:
+    weights = Weights(style="sidewise")
+    with pytest.raises(DefplanError, match="'sidewise'.*sideways, pulse"):
+        _ = GaitProblem(ReducedDynamics(small_fish), TASKS, 11, weights=weights).style
 
 
 def test_switching_measures_cycles_in_the_frame_of_their_start(

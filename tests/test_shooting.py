@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from defplan_mj.body.build import build_body
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import evaluate_switching
 from defplan_solvers.shooting import SOLVER, Shooting
+from defplan_tasks import quadruped
 from defplan_tasks.fish import SWIM
 from defplan_tasks.swimming import ASSETS
 
@@ -68,3 +70,19 @@ def test_every_seed_gives_the_fish_good_gaits(seed: int) -> None:
     assert forward["advance_m"] >= 0.5 * body.length
     assert left["turn_rad"] >= 0.5 and right["turn_rad"] <= -0.5
     assert measured.falls == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+def test_every_seed_gives_the_swimmer_turns_on_the_spot_and_a_stroke_ahead(seed: int) -> None:
+    task = quadruped.SWIM
+    body = build_body(task.mesh, task.body, name=task.name)
+    problem = GaitProblem.of(task, ReducedDynamics(body, task.timestep))
+    measured = evaluate_switching(problem, SOLVER.solve(problem, seed), cycles=200)
+    assert measured.falls == 0
+    for row in measured.rows():
+        if row["name"] == "forward":
+            assert row["advance_lengths"] >= 0.4
+        else:
+            assert row["turn_rad"] >= 0.3
+            assert row["distance_lengths"] < 0.15

@@ -6,7 +6,7 @@ cycles, each of one task, and E_obj adds up over its cycles.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import casadi as ca
@@ -15,9 +15,11 @@ import numpy as np
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.task import GaitTask, TaskSpec, Weights
 
+_X = np.array([1.0, 0.0, 0.0])
 DEFAULT_WEIGHTS = Weights()
 
 
@@ -101,15 +103,19 @@ class GaitProblem:
         )
 
     @cached_property
-    def sideways(self) -> np.ndarray:
-        """(r,) how much of each mode bends the body sideways, 0 to 1; 0 if the gaits need not."""
-        body = self.dynamics.body
-        return lateral_share(body) if self.weights.sideways else np.zeros(body.n_modes)
+    def style(self) -> np.ndarray:
+        """(r,) how much each mode is of the style that the weights name, 0 to 1 (0: no style)."""
+        body, style = self.dynamics.body, self.weights.style
+        if style == "any":
+            return np.zeros(body.n_modes)
+        if style not in STYLES:
+            raise DefplanError(f"there is no gait style {style!r}: take any, {', '.join(STYLES)}")
+        return STYLES[style](body, self.axis)
 
     def random_gait(self, rng: np.random.Generator) -> np.ndarray:
-        """Return w of any phases and a little motion: of all modes, or mostly sideways."""
+        """Return w of any phases and a little motion, mostly of the style."""
         d, r, k = self.elements, self.dynamics.nu, self.n_tasks
-        share = 0.05 + 0.95 * self.sideways if self.weights.sideways else np.ones(r)
+        share = np.ones(r) if self.weights.style == "any" else 0.05 + 0.95 * self.style
         mu = rng.uniform(0, 2 * np.pi, (d, r))
         alpha = 0.3 * share * rng.normal(size=(k, d, r))
         return self.join(mu, alpha, 1 + 0.3 * rng.normal(size=(k, d, r)))
@@ -257,7 +263,7 @@ class GaitProblem:
     def regularisation(self, w: ca.MX) -> ca.MX:
         """Return the part of the objective that is of w alone: effort and sharpness."""
         body, n = self.dynamics.body, self.n_tasks * self.steps_per_cycle
-        counted = (1 - self.sideways) / body.amplitude**2
+        counted = (1 - self.style) / body.amplitude**2
         effort = ca.sum2(self.dmp(w) ** 2) / n
         beta = w[self.n_phases * (1 + self.n_tasks) :]
         return (
@@ -335,18 +341,50 @@ def balanced_sequence(n_tasks: int, length: int, rng: np.random.Generator) -> li
     return sequence
 
 
-def lateral_share(body: Body, sections: int = 24) -> np.ndarray:
+def lateral_share(body: Body, axis: np.ndarray = _X, sections: int = 24) -> np.ndarray:
     """Return (r,) how much of each mode bends the body sideways as a whole, 0 to 1.
 
-    The share of the mode's kinetic energy in the lateral motion of its cross-sections' means;
-    a swimmer's gait starts in these modes, torsion and vertical bending stay small.
+    The share of the mode's kinetic energy in the lateral motion of the means of its cross-sections
+    along the own axis (a horizontal one).
     """
-    x, mass = body.vertices[:, 0], body.vertex_mass
+    x, side = body.vertices @ axis, np.cross([0.0, 0.0, 1.0], axis)
     edges = np.linspace(x.min(), x.max(), sections + 1)[1:-1]
-    section = np.digitize(x, edges)
-    weight = np.bincount(section, mass, sections)
+    return _share_of_means(
+        body, np.digitize(x, edges), (body.modes.transpose(0, 2, 1) @ side)[None]
+    )
+
+
+def pulse_share(body: Body, axis: np.ndarray, sections: int = 8, rings: int = 4) -> np.ndarray:
+    """Return (r,) how much of each mode is the same all around the own axis, 0 to 1.
+
+    The share of its kinetic energy in the mean radial and axial motion of rings about the axis.
+    """
+    along = body.vertices @ axis
+    radial = body.vertices - np.outer(along, axis)
+    radius = np.linalg.norm(radial, axis=1)
+    outward = radial / np.maximum(radius, 1e-9)[:, None]
+    section = np.digitize(along, np.linspace(along.min(), along.max(), sections + 1)[1:-1])
+    ring = np.digitize(radius, np.linspace(0.0, radius.max(), rings + 1)[1:-1])
+    motion = [
+        np.einsum("nir,ni->nr", body.modes, outward),
+        np.einsum("nir,i->nr", body.modes, axis),
+    ]
+    return _share_of_means(body, section * rings + ring, np.array(motion))
+
+
+def _share_of_means(body: Body, group: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Return (r,) the share of the modes' energy in the group means of motions (c, n, r)."""
+    mass, groups = body.vertex_mass, group.max() + 1
+    weight = np.bincount(group, mass, groups)
     shares = []
-    for mode in body.modes.transpose(2, 0, 1):
-        mean = np.bincount(section, mass * mode[:, 1], sections) / np.maximum(weight, 1e-300)
-        shares.append((weight * mean**2).sum() / (mass[:, None] * mode**2).sum())
+    for r, mode in enumerate(body.modes.transpose(2, 0, 1)):
+        moments = [np.bincount(group, mass * part[:, r], groups) for part in motion]
+        means = np.array(moments) / np.maximum(weight, 1e-300)
+        shares.append((weight * means**2).sum() / (mass[:, None] * mode**2).sum())
     return np.array(shares)
+
+
+STYLES: dict[str, Callable[[Body, np.ndarray], np.ndarray]] = {
+    "sideways": lateral_share,
+    "pulse": pulse_share,
+}
