@@ -13,7 +13,7 @@ from defplan_mj.body.model import Body, Material, Medium
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
-from defplan_mj.log.poses import predict, quaternion, rotation_matrix, space_of
+from defplan_mj.log.poses import predict, quaternion, rotation_matrix
 from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.planning.scenes import Scene
@@ -295,7 +295,7 @@ def record_swim(
     from defplan_mj.task import Navigation
 
     scene = scene or sample_scene(speed=0.1)
-    navigation, gaits = Navigation(laser_range=8.0, space=space_of(scene)), len(files.gait.alpha)
+    navigation, gaits = Navigation(laser_range=8.0, space=scene.space), len(files.gait.alpha)
     plays = None
     if feedback is not None:
         plays = feedback.prepare(ReducedDynamics(files.body, TIMESTEP), files.gait)

@@ -17,11 +17,10 @@ from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.errors import DefplanError
 from defplan_mj.feedback import Feedback, OpenLoop
 from defplan_mj.gait.gait import Gait
-from defplan_mj.host.obstacles import SHAPE_OF, space_of
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.host.skin import texture_of
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scenes import SHAPES, Scene
 from defplan_mj.task import Navigation
 
 COLLISION_PENALTY = 1000.0  # Eq. 2
@@ -171,7 +170,7 @@ class Navigate(base.Task):
         """Return `centre` minus the target; level in the plane."""
         scene = self._here()
         offset = centre - scene.target
-        if space_of(scene) == "planar":
+        if scene.space == "planar":
             offset[2] = 0.0
         return offset
 
@@ -240,11 +239,10 @@ def _tilt(physics: Physics) -> np.ndarray:
 
 
 def _check_space(space: str, scene: Scene) -> None:
-    other = space_of(scene)
-    if other != space:
+    if scene.space != space:
         raise DefplanError(
             f"a {space} task cannot use a scene of {scene.shape}s: hand in a scene of"
-            f" {SHAPE_OF[space]}s, or set navigation.space to {other!r}"
+            f" {SHAPES[space]}s, or set navigation.space to {scene.space!r}"
         )
 
 

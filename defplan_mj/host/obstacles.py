@@ -18,22 +18,6 @@ from defplan_mj.host.scene import (
 from defplan_mj.planning.scenes import Scene
 
 RGBA = (0.24, 0.42, 0.80, 1.0)
-SHAPE_OF = {"planar": "cylinder", "spatial": "sphere"}
-"""What the obstacles of a space are."""
-
-
-def space_of(scene: Scene) -> str:
-    """Return the space, 'planar' or 'spatial', that the obstacles of `scene` are made for.
-
-    Raises:
-        DefplanError: obstacles of an unknown shape.
-    """
-    for space, shape in SHAPE_OF.items():
-        if scene.shape == shape:
-            return space
-    raise DefplanError(
-        f"unknown obstacle shape {scene.shape}: there are {', '.join(SHAPE_OF.values())}"
-    )
 
 
 def max_obstacles(model: Any) -> int:
@@ -65,7 +49,7 @@ def set_scene(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, TARGET)
     model.site_pos[site] = scene.target
     model.site_size[site] = scene.goal_radius
-    planar = space_of(scene) == "planar"
+    planar = scene.space == "planar"
     shape = mujoco.mjtGeom.mjGEOM_CYLINDER if planar else mujoco.mjtGeom.mjGEOM_SPHERE
     for index in range(room):
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"obstacle_{index}")

@@ -17,7 +17,7 @@ from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.errors import DefplanError
 from defplan_mj.host import skin
-from defplan_mj.host.obstacles import set_scene, space_of
+from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.planning.scenes import Scene
 
@@ -176,7 +176,7 @@ def _frames(
     terrain: Terrain | None,
 ) -> Iterator[np.ndarray]:
     room = 0 if scene is None else len(scene.radii)
-    space = "planar" if scene is None else space_of(scene)
+    space = "planar" if scene is None else scene.space
     texture = skin.texture_of(body)
     spec = build_spec(
         body, timestep, max_obstacles=room, space=space, terrain=terrain, texture=texture
@@ -228,7 +228,7 @@ def _camera(
         margins += [np.array([scene.goal_radius + 0.5]), scene.radii + 0.5]
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     if name == OVERVIEW:
-        aside, down = _OVERVIEW["planar" if scene is None else space_of(scene)]
+        aside, down = _OVERVIEW["planar" if scene is None else scene.space]
         camera.azimuth, camera.elevation = bearing + aside, down
     else:  # the way from start to target lies from left to right
         camera.azimuth, camera.elevation = 90 + bearing, -90.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.surrogate import Surrogate
 
 
@@ -52,11 +51,6 @@ def angle(matrix: np.ndarray) -> np.ndarray:
     twist = twist - np.stack([m[..., 1, 2], m[..., 2, 0], m[..., 0, 1]], -1)
     sine, cosine = np.linalg.norm(twist, axis=-1), np.trace(m, axis1=-2, axis2=-1) - 1
     return np.arctan2(sine, cosine)
-
-
-def space_of(scene: Scene) -> str:
-    """Return where a scene is: 'planar' among upright cylinders, 'spatial' among spheres."""
-    return "spatial" if scene.shape == "sphere" else "planar"
 
 
 def predict(surrogate: Surrogate, pose: np.ndarray, gait_index: int) -> np.ndarray:

@@ -28,7 +28,6 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log import schemas
 from defplan_mj.log.messages import contacts_of
-from defplan_mj.log.poses import space_of
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.surrogate import Surrogate
 
@@ -129,7 +128,7 @@ class EpisodeLog:
     @property
     def space(self) -> str:
         """'planar' or 'spatial': where the robot navigates."""
-        return space_of(self.scene)
+        return self.scene.space
 
     @property
     def whole(self) -> bool:

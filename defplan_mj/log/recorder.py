@@ -26,7 +26,7 @@ from defplan_mj.log.messages import (
     laser_scan,
     scene_update,
 )
-from defplan_mj.log.poses import predict, rotation_matrix, space_of
+from defplan_mj.log.poses import predict, rotation_matrix
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.planning.scenes import Scene
 
@@ -114,7 +114,7 @@ class Recorder:
                 self._contacts = lambda x: _pair(dynamics.contacts(x))
         self._scene = scene
         self._moving = bool(np.any(scene.velocities))
-        self._spatial = space_of(scene) == "spatial"
+        self._spatial = scene.space == "spatial"
         self._laser_range = _laser_range(given)
         self._steps = self._cycles = 0
         self._cycle_times = [time]  # of the states since the running cycle began

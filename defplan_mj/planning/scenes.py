@@ -15,6 +15,9 @@ from defplan_mj.planning.frames import (
 )
 from defplan_mj.task import Navigation
 
+SHAPES = {"planar": "cylinder", "spatial": "sphere"}
+"""What the obstacles of a space are."""
+
 FAR = 1e4
 """Where the padding of a batch keeps obstacles that are not there, m."""
 
@@ -47,6 +50,20 @@ class Scene:
     goal_radius: float = 1.0
     max_cycles: int = 200
     meta: dict = field(default_factory=dict)
+
+    @property
+    def space(self) -> str:
+        """'planar' or 'spatial': where obstacles have this shape.
+
+        Raises:
+            DefplanError: they have it nowhere.
+        """
+        for space, shape in SHAPES.items():
+            if self.shape == shape:
+                return space
+        raise DefplanError(
+            f"unknown obstacle shape {self.shape}: there are {', '.join(SHAPES.values())}"
+        )
 
 
 @dataclass(frozen=True)
