@@ -6,12 +6,12 @@ import heapq
 
 import numpy as np
 
-from defplan_mj.planning.motion_tree import MotionTree
 from defplan_mj.planning.planner import Observation
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.laser_map import LaserMap
+from defplan_solvers.manoeuvres import Manoeuvres
 from defplan_solvers.outlook import Outlook
 from defplan_solvers.untrained import UntrainedSolver
 
@@ -21,9 +21,9 @@ MARGINS = (
     0.25,
     0.1,
 )  # added to the body's radius, one after the other until there is a plan, m
-NODES = 1500  # search nodes of one attempt
+NODES = 10000  # search nodes of one attempt
 AT_ONCE = 8  # nodes that are expanded together, the best first
-CELL, HEADING = 0.3, 0.26  # poses closer than this count as one, m and rad
+CELL, HEADING = 0.45, 0.3  # poses closer than this count as one, m and rad
 WEIGHT = 1.2  # of the estimate: more is faster, less is shorter
 
 
@@ -34,7 +34,7 @@ class AstarPlanner:
         self.motions = surrogate.motions(navigation.space)
         self.radius, self.dimension = surrogate.radius, navigation.dimension
         self.outlook = Outlook(self.motions, navigation.goal_radius)
-        self.tree = MotionTree(self.motions, 1)
+        self.steps = Manoeuvres(self.motions, self.outlook.axes[0])
         self.map = LaserMap(surrogate, navigation)
         self.shield = Shield(self, surrogate, navigation)  # its rule, for when there is no plan
 
@@ -56,9 +56,9 @@ class AstarPlanner:
         return values
 
     def _plan(self, points: np.ndarray, target: np.ndarray) -> int | None:
-        near = points[np.linalg.norm(points, axis=1) < HORIZON + 1]
         for margin in MARGINS:
-            gait = search(self.outlook, self.tree, near, self.radius + margin, self.radius, target)
+            wanted = self.radius + margin
+            gait = search(self.outlook, self.steps, points, wanted, self.radius, target)
             if gait is not None:
                 return gait
         return None
@@ -66,7 +66,7 @@ class AstarPlanner:
 
 def search(
     outlook: Outlook,
-    tree: MotionTree,
+    steps: Manoeuvres,
     points: np.ndarray,
     wanted: float,
     least: float,
@@ -76,20 +76,19 @@ def search(
 
     Args:
         outlook: estimates what is left.
-        tree: of depth 1.
+        steps: of the search.
         points: (p, d) what to keep away from, m, in the robot's frame.
         wanted: clearance that cycles keep, m; where there is less already, cycles may gain some, or
             turn the robot in its place.
         least: clearance that cycles keep in any case, m.
         target: (d,) m, in the robot's frame.
     """
-    rotations, translations = outlook.motions
-    gaits, d = tree.gaits, len(target)
-    room = NODES + AT_ONCE * gaits
+    d, room = len(target), NODES + AT_ONCE * len(steps.first)
     position, frames = np.zeros((room, d)), np.zeros((room, d, d))
     first, cycles, near = np.full(room, -1), np.zeros(room), np.zeros(room, bool)
     keys = np.zeros((room, 2 * d), np.int16)
     frames[0], made = np.eye(d), 1
+    alike = max(HEADING, steps.span)  # headings that one manoeuvre reaches anyway count as one
     heap = [(0.0, 0)]  # of estimates and nodes
     closed: set[bytes] = set()
     nearest, fallback = np.inf, -1
@@ -102,49 +101,48 @@ def search(
             if (key := keys[node].tobytes()) not in closed:
                 closed.add(key)
                 chosen.append(node)
-        if not chosen:
-            break
         start, turned = position[chosen], frames[chosen]
-        free = _free(tree, points, start, turned, wanted, least)
-        parent, gait = np.nonzero(free)
-        new = slice(made, made + len(gait))
+        parent, step = np.nonzero(_free(steps, points, start, turned, wanted, least))
+        if not len(step):
+            continue
+        new = slice(made, made + len(step))
         made = new.stop
-        step = np.einsum("nij,nj->ni", turned[parent], translations[gait])
-        position[new] = end = start[parent] + step
-        frames[new] = facing = turned[parent] @ rotations[gait]
-        cycles[new] = cycles[chosen][parent] + 1
+        way = np.einsum("nij,nj->ni", turned[parent], steps.translations[step])
+        position[new] = end = start[parent] + way
+        frames[new] = facing = turned[parent] @ steps.rotations[step]
+        cycles[new] = spent = cycles[chosen][parent] + steps.cycles[step]
         begun = first[chosen][parent]
-        first[new] = begun = np.where(begun < 0, gait, begun)
+        first[new] = begun = np.where(begun < 0, steps.first[step], begun)
         rest = outlook.cycles(np.einsum("nij,ni->nj", facing, target - end))
         near[new] = (rest == 0) | (np.einsum("nd,nd->n", end, end) > HORIZON**2)
         keys[new, :d] = np.floor(end / CELL)
-        keys[new, d:] = np.round(facing @ outlook.axes[0] / HEADING)
-        if len(rest) and rest.min() < nearest:
+        keys[new, d:] = np.round(facing @ outlook.axes[0] / alike)
+        if rest.min() < nearest:
             nearest, fallback = rest.min(), int(begun[rest.argmin()])
-        for entry in zip(
-            (cycles[new] + WEIGHT * rest).tolist(), range(new.start, made), strict=True
-        ):
+        for entry in zip((spent + WEIGHT * rest).tolist(), range(new.start, made), strict=True):
             heapq.heappush(heap, entry)
     return None if fallback < 0 else fallback
 
 
 def _free(
-    tree: MotionTree,
+    steps: Manoeuvres,
     points: np.ndarray,
     position: np.ndarray,
     frames: np.ndarray,
     wanted: float,
     least: float,
 ) -> np.ndarray:
-    """Return (n, K) which gaits may be used at poses (n, d), (n, d, d); see `search`."""
-    if not len(points):
-        return np.ones((len(position), tree.gaits), bool)
-    local = (points - position[:, None]) @ frames
-    every = tree.distances2(local.reshape(-1, points.shape[1]))
-    here, end, way = (a.reshape(len(position), -1, tree.gaits).min(1) for a in every)
-    turns = tree.in_place & (way > (0.5 * (wanted + least)) ** 2)
+    """Return (n, M) which steps may be taken at poses (n, d), (n, d, d); see `search`."""
+    offset = points - position[:, None]
+    close = (np.einsum("npd,npd->np", offset, offset) < (steps.reach + wanted) ** 2).any(0)
+    if not close.any():
+        return np.ones((len(position), len(steps.first)), bool)
+    local = (offset[:, close] @ frames).reshape(-1, points.shape[1])
+    shape = (len(position), -1, len(steps.start))
+    here, end, way = (a.reshape(shape).min(1) for a in steps.distances2(local))
+    turns = steps.in_place & (way > (0.5 * (wanted + least)) ** 2)
     gains = (here < wanted**2) & ((end > here) | turns)
-    return (way >= least**2) & ((way >= wanted**2) | gains)
+    return steps.free((way >= least**2) & ((way >= wanted**2) | gains))
 
 
 SOLVER = UntrainedSolver(

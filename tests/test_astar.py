@@ -4,14 +4,17 @@ import numpy as np
 import planning_samples as samples
 import pytest
 
+from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.errors import DefplanError
 from defplan_mj.planning.beams import beam_directions
+from defplan_mj.planning.frames import attitude_frames
 from defplan_mj.planning.scenes import SceneBatch, novel_scenes
 from defplan_mj.planning.surrogate import Motions
 from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers import astar, greedy
 from defplan_solvers.laser_map import LaserMap
+from defplan_solvers.manoeuvres import Manoeuvres
 from defplan_solvers.outlook import Outlook
 
 NAVIGATION = Navigation()
@@ -47,10 +50,23 @@ def wall_with_target_behind():
     return samples.scene(circles, target=(10.0, 0.0), max_cycles=60)
 
 
+def wall_of_spheres():
+    """Return a wall of spheres, 5 m wide and high, straight between start and target."""
+    across = np.linspace(-2.1, 2.1, 7)
+    return samples.spheres(
+        [(5.0, y, z, 0.5) for y in across for z in across], target=(10.0, 0, 0), max_cycles=100
+    )
+
+
 def test_astar_goes_round_a_wall_and_greedy_does_not():
     surrogate, scenes = samples.surrogate(), [wall_with_target_behind()]
     assert rate(astar.AstarPlanner, scenes, surrogate) == 1
     assert rate(greedy.GreedyPlanner, scenes, surrogate) == 0
+
+
+def test_astar_goes_round_a_wall_in_space():
+    assert rate(astar.AstarPlanner, [wall_of_spheres()], samples.swimmer(), SPATIAL) == 1
+    assert rate(greedy.GreedyPlanner, [wall_of_spheres()], samples.swimmer(), SPATIAL) == 0
 
 
 @BOTH
@@ -93,6 +109,50 @@ def test_the_outlook_is_exact_on_straight_ways_and_counts_turns(navigation, surr
         for r, t in zip(rotations, translations, strict=True)
     ]
     assert np.allclose(outlook.after_each(target), expected)
+
+
+@BOTH
+def test_manoeuvres_lead_where_their_gaits_lead_and_are_free_if_all_of_them_are(
+    navigation, surrogate
+):
+    motions = surrogate.motions(navigation.space)
+    steps = Manoeuvres(motions, Outlook(motions, 1.0).axes[0])
+    d, tree = navigation.dimension, RigidDynamics(surrogate)
+    points = np.random.default_rng(0).uniform(-1.5, 1.5, (3, d))
+    free = steps.free(steps.distances2(points)[2].min(0)[None] > 0.6**2)[0]
+    for m, last in enumerate(steps.last):
+        chain = [last]
+        while steps.parent[chain[0]] >= 0:
+            chain.insert(0, steps.parent[chain[0]])
+        assert len(chain) == steps.cycles[m]
+        # Which gaits these are: those that lead from one cycle's end to the next.
+        state, gaits, clear = tree.rest_state(), [], True
+        for cycle in chain:
+            after = [tree.step(state, gait) for gait in range(len(surrogate.task_names))]
+            miss = [np.linalg.norm(one[:d] - steps.end[cycle]) for one in after]
+            if cycle == last:  # two turns may end alike: the frame tells them apart
+                frames = [attitude_frames(one[None, 3:], d)[0] for one in after]
+                miss = [
+                    a + np.abs(f - steps.rotations[m]).max()
+                    for a, f in zip(miss, frames, strict=True)
+                ]
+            gaits.append(int(np.argmin(miss)))
+            assert min(miss) < 1e-4
+            ways = state[:d] + np.linspace(0, 1, 300)[:, None] * (after[gaits[-1]][:d] - state[:d])
+            clear &= bool(np.linalg.norm(ways[:, None] - points, axis=2).min() > 0.6)
+            state = after[gaits[-1]]
+        assert gaits[0] == steps.first[m]
+        assert np.allclose(state[:d], steps.translations[m], atol=1e-5)
+        assert clear == free[m]
+    assert 0 < free.sum() < len(free)
+
+
+def test_manoeuvres_of_a_robot_that_never_turns_in_place_are_its_gaits():
+    motions = samples.surrogate().motions("planar")
+    steps = Manoeuvres(motions, np.array([1.0, 0]))
+    assert list(steps.first) == [0, 1, 2] and list(steps.cycles) == [1, 1, 1]
+    assert np.array_equal(steps.rotations, motions.rotations)
+    assert np.array_equal(steps.translations, motions.translations)
 
 
 def test_a_robot_that_walks_to_every_side_need_not_turn():

@@ -1,0 +1,83 @@
+"""The steps of a search over gaits: a cycle that moves the robot, after up to a few turns in its place."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from defplan_mj.planning.motion_tree import IN_PLACE, Ways
+from defplan_mj.planning.surrogate import Motions
+
+TURNS = 3  # cycles in place before the one that moves, at most
+ALIKE = 0.2  # turns that lead to headings closer than this are one, rad
+
+
+class Manoeuvres(Ways):
+    """A robot that turns in its place is searched in steps of 'turn, turn, go'.
+
+    Were each turn a step of its own, a search would lose itself among the headings of every place.
+    A manoeuvre is a sequence of cycles: up to `TURNS` in place and then one that moves, or `TURNS`
+    in place alone. Of sequences of turns that lead to the same heading the shortest stays. For a
+    robot that moves in every cycle the manoeuvres are the gaits.
+
+    Cycle i of the tree (a `Ways`) comes after cycle `parent[i]` (-1: at the root), and manoeuvre m
+    ends with cycle `last[m]`.
+
+    Args:
+        motions: of the gaits.
+        heading: (d,) unit vector, the robot's own, whose directions are told apart.
+
+    Attributes:
+        first: (M,) the first gait of each manoeuvre.
+        cycles: (M,) how many it has.
+        rotations, translations: (M, d, d) and (M, d) where it leads.
+        reach: how far it gets from its start, m.
+        span: how far it may turn the heading before it moves, rad.
+    """
+
+    def __init__(self, motions: Motions, heading: np.ndarray) -> None:
+        rotations, translations = motions
+        moves = np.linalg.norm(translations, axis=1) >= IN_PLACE
+        d = translations.shape[1]
+        starts, ends, frames, self.levels = [], [], [], []
+        parents: list[int] = []
+        firsts: list[int] = []
+        depths: list[int] = []
+        last: list[int] = []
+        known = heading[None]
+        roots = [(-1, np.zeros(d), np.eye(d), -1)]  # cycle, place, frame, first gait
+        for depth in range(1, TURNS + 2):
+            level, following = len(parents), []
+            for parent, place, frame, begun in roots:
+                for gait in range(len(moves)):
+                    turned = frame @ rotations[gait]
+                    if not moves[gait]:
+                        if depth > TURNS or (known @ (turned @ heading)).max() > np.cos(ALIKE):
+                            continue
+                        known = np.vstack([known, turned @ heading])
+                    first = gait if begun < 0 else begun
+                    index, there = len(parents), place + frame @ translations[gait]
+                    starts.append(place)
+                    ends.append(there)
+                    frames.append(turned)
+                    parents.append(parent)
+                    firsts.append(first)
+                    depths.append(depth)
+                    if not moves[gait]:
+                        following.append((index, there, turned, first))
+                    if moves[gait] or depth == TURNS:
+                        last.append(index)
+            self.levels.append(slice(level, len(parents)))
+            roots = following
+        super().__init__(np.array(starts), np.array(ends))
+        self.span = float(np.arccos(np.clip(known @ heading, -1, 1)).max())
+        self.last, self.parent = np.array(last), np.array(parents)
+        self.first, self.cycles = np.array(firsts)[last], np.array(depths)[last]
+        self.rotations, self.translations = np.array(frames)[last], np.array(ends)[last]
+        self.reach = float(np.linalg.norm(np.array(ends), axis=1).max())
+
+    def free(self, cycles: np.ndarray) -> np.ndarray:
+        """Return (n, M) which manoeuvres are free if `cycles` (n, cycles) says it of their cycles."""
+        whole = cycles.copy()
+        for level in self.levels[1:]:
+            whole[:, level] &= whole[:, self.parent[level]]
+        return whole[:, self.last]
