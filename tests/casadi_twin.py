@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.kernel.contact_points import contact_points
 
 _TERMS = 40  # of the exponential's series: enough for |w| <= 5
 
@@ -63,11 +64,12 @@ class CasadiTwin:
     """
 
     def __init__(self, dynamics: ReducedDynamics):
-        body, self.r, self.h = dynamics.body, dynamics.nu, dynamics.timestep
+        body, self.r, self.h = dynamics.body, dynamics.body.n_modes, dynamics.timestep
         self.body = body
         self._shape = self._shape_function()
         r, h = self.r, self.h
-        x, u, near = ca.MX.sym("x", 13 + 2 * r), ca.MX.sym("u", r), ca.MX.sym("near", 4)
+        x, near = ca.MX.sym("x", 13 + 2 * r), ca.MX.sym("near", 4)
+        u = ca.MX.sym("u", dynamics.nu)
         unknown = ca.MX.sym("Q", 6 + r)
 
         quat = x[3:7] / ca.norm_2(x[3:7])
@@ -75,7 +77,7 @@ class CasadiTwin:
         new = (unknown[:3], ca.mtimes(_exp(unknown[3:6]), _matrix(near)), unknown[6:])
         last = (c1, _matrix(quat), q1)
         before = (c1 - h * v[:3], ca.mtimes(last[1], _exp(-h * v[3:6])), q1 - h * v[6:])
-        energy = self._energy(new, last, before, u, dynamics)
+        energy = self._energy(new, last, before, u[:r], dynamics)
 
         new_quat = _product(_half_turn(unknown[3:6]), near)
         turn = _log(_product(ca.vertcat(quat[0], -quat[1:4]), new_quat))
@@ -84,6 +86,8 @@ class CasadiTwin:
             *((new[0] - c1) / h, turn / h, (new[2] - q1) / h),
         )
         gradient = ca.gradient(energy, unknown)
+        for points, forces in self._forces(new, last, u[r:], dynamics):
+            gradient -= ca.jtimes(ca.vec(points), unknown, ca.vec(forces), True)
         inputs = [unknown, near, x, u]
         self.energy = ca.Function("energy", inputs, [energy])
         self._solve = ca.Function("solve", inputs, [gradient, ca.jacobian(gradient, unknown), out])
@@ -147,6 +151,45 @@ class CasadiTwin:
         pressure = medium.drag_normal * ca.fabs(normal) * normal**2 / area2
         friction = medium.drag_tangential * ca.sqrt(area2) * speed2 * ca.sqrt(speed2)
         return energy + h * medium.density / 6 * ca.sum2(pressure + friction)
+
+    def _forces(self, new, last, given, dynamics: ReducedDynamics):
+        """Return pairs of points and forces on them (3, n): of the feet, and of the terrain's geoms."""
+        body, pairs = self.body, []
+        field = np.concatenate([body.vertices[:, :, None], body.basis], axis=2)
+        if dynamics.feet is not None:
+            means = np.array([field[foot].mean(0) for foot in dynamics.feet.vertices])
+            p = new[0] + ca.mtimes(new[1], self._points(means, self._shape(new[2])))
+            pairs.append((p, ca.reshape(given, 3, len(means))))
+        if dynamics.terrain is None:
+            return pairs
+        terrain, law = dynamics.terrain, dynamics.model.arrays[2]
+        stiffness, thickness = float(law[2]), float(law[3])
+        touching = field[body.surface][contact_points(body)]
+        p, p1 = (
+            config[0] + ca.mtimes(config[1], self._points(touching, self._shape(config[2])))
+            for config in (new, last)
+        )
+        columns = []
+        for s in range(len(touching)):
+            force, v = ca.MX.zeros(3), (p[:, s] - p1[:, s]) / self.h
+            for geom in terrain.geoms:
+                axes = _matrix(ca.DM(geom.quaternion) / ca.norm_2(ca.DM(geom.quaternion)))
+                arm = ca.mtimes(axes.T, p[:, s] - ca.DM(geom.position))
+                if geom.shape == "plane":
+                    gap, normal = arm[2], ca.mtimes(axes, ca.DM([0, 0, 1]))
+                else:
+                    assert geom.shape == "sphere"
+                    gap, normal = (
+                        ca.norm_2(arm) - geom.size[0],
+                        ca.mtimes(axes, arm / ca.norm_2(arm)),
+                    )
+                push = stiffness * ca.fmax(thickness - gap, 0) ** 2
+                slip = v - ca.dot(v, normal) * normal
+                speed = ca.sqrt(ca.dot(slip, slip) + terrain.slip_speed**2)
+                force += push * normal - terrain.friction * push * slip / speed
+            columns.append(force)
+        pairs.append((p, ca.horzcat(*columns)))
+        return pairs
 
     def refine(self, x: np.ndarray, u: np.ndarray, x_next: np.ndarray) -> np.ndarray:
         """Return the twin's own next state, by Newton steps from the kernel's `x_next`."""

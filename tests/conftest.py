@@ -15,10 +15,12 @@ threads.set_environment(1)  # before a test loads numpy
 
 # Not the task itself: it loads MuJoCo, which must know first how to render.
 from defplan_mj.body.build import build_body  # noqa: E402
-from defplan_mj.body.model import Body  # noqa: E402
+from defplan_mj.body.model import Body, Medium  # noqa: E402
 from defplan_mj.task import BodyOptions  # noqa: E402
 
 FISH_MESH = Path(__file__).parents[1] / "tasks" / "assets" / "fish.obj"
+QUADRUPED_MESH = FISH_MESH.with_name("quadruped.obj")
+AIR = Medium(name="air", density=0.0, gravity=-9.81, righting_height=0.0)
 
 _RENDER = """
 import mujoco
@@ -65,6 +67,15 @@ def small_fish() -> Body:
     """Return the fish on a coarse mesh: fast to build and to compare with the full FEM."""
     options = BodyOptions(vertices=300, modes=5, basis=20, samples=16, patches=40)
     return build_body(FISH_MESH, options, name="small fish")
+
+
+@pytest.fixture(scope="session")
+def small_walker() -> Body:
+    """Return the 4-legged body in air on a coarse mesh: on a coarser one its legs would be lost."""
+    options = BodyOptions(
+        vertices=450, modes=6, basis=20, samples=10, patches=4, amplitude=1.0, medium=AIR
+    )
+    return build_body(QUADRUPED_MESH, options, name="small walker")
 
 
 @pytest.fixture(scope="session")

@@ -61,6 +61,25 @@ def synthetic_body(
     )
 
 
+def block(half: tuple[float, float, float], medium: Medium, mass: float = 10.0) -> Body:
+    """Return a rigid block with eight equal masses at its corners: a body whose shape does nothing."""
+    body = synthetic_body(np.random.default_rng(0), 1, 2, 1, 0, medium)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+    weights = np.full(8, mass / 8)
+    basis = body.basis - body.basis.mean(0)
+    basis = np.linalg.qr(basis.reshape(24, 2))[0].reshape(8, 3, 2) / np.sqrt(mass / 8)
+    shapes = np.concatenate([corners[:, :, None], basis], axis=2)
+    return replace(
+        body,
+        vertices=corners,
+        vertex_mass=weights,
+        basis=basis,
+        feature_weights=np.zeros_like(body.feature_weights),
+        moments=np.einsum("v,via,vjb->abij", weights, shapes, shapes),
+        surface=np.arange(8),
+    )
+
+
 def random_quaternion(rng: np.random.Generator) -> np.ndarray:
     """Return a unit quaternion, uniform over all attitudes."""
     quat = rng.normal(size=4)
@@ -75,7 +94,7 @@ def random_state(
     vibration: float = 3.0,
 ) -> np.ndarray:
     """Return a state at any place and attitude; `spin` rad/s, `speed` m/s, `vibration` 1/s."""
-    r, amplitude = dynamics.nu, dynamics.body.amplitude
+    r, amplitude = dynamics.body.n_modes, dynamics.body.amplitude
     return np.concatenate(
         [
             *(3 * rng.normal(size=3), random_quaternion(rng), rng.uniform(-amplitude, amplitude)),

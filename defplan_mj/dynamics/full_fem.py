@@ -26,10 +26,13 @@ from defplan_mj.body.model import Body
 from defplan_mj.body.rotation_strain import RotationStrain, strain_matrices
 from defplan_mj.body.tetmesh import TetMesh, boundary, shape_gradients, volumes
 from defplan_mj.dynamics.corotational import Response, density, polar, respond
+from defplan_mj.dynamics.fem_contact import FemContact
+from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.errors import DefplanError
 
 _SPEED_SQUARED = 1e-4  # m^2/s^2: rounds the tangential drag at rest, as in the reduced step
 _STANDARD_GRAVITY = 9.81
+_ROUNDS = 60  # of friction
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,7 @@ class FullFem:
         body: Body,
         timestep: float = 0.04,
         drag: bool = True,
+        terrain: Terrain | None = None,
         tolerance: float = 1e-6,
         max_newton: int = 60,
     ) -> None:
@@ -56,9 +60,12 @@ class FullFem:
         Args:
             timestep: s.
             drag: whether the medium acts.
+            terrain: what the surface touches, by the reduced step's law of contact.
             tolerance: largest last Newton step, m.
         """
         self.body, self.timestep, self.drag = body, timestep, drag
+        self.contact = None if terrain is None else FemContact(terrain, body, timestep)
+        self.heavy = drag or terrain is not None
         self.tolerance, self.max_newton = tolerance, max_newton
         self.mesh = TetMesh(body.vertices, body.tetrahedra)
         self.shapes = RotationStrain(self.mesh, body.vertex_mass, body.modes)
@@ -131,7 +138,19 @@ class FullFem:
     ) -> tuple[np.ndarray, StepInfo]:
         """Like `step`, with how the solve went."""
         problem = _Step(self, x1, x0, target)
-        x = 2.0 * x1 - x0
+        if self.contact is None:
+            return self._minimise(problem, 2.0 * x1 - x0)
+        # friction's normal forces are those of the last solution, until they are those of this one
+        x, count = x1, 0
+        for _ in range(_ROUNDS):
+            problem.reference = x
+            new, info = self._minimise(problem, x)
+            change, x, count = float(np.abs(new - x).max()), new, count + info.iterations
+            if change <= 10.0 * self.tolerance:
+                return x, StepInfo(count, change)
+        raise DefplanError(f"friction did not converge in {_ROUNDS} rounds (last {change:.1e} m)")
+
+    def _minimise(self, problem: _Step, x: np.ndarray) -> tuple[np.ndarray, StepInfo]:
         now = problem.evaluate(x)
         for iteration in range(1, self.max_newton + 1):
             move, slope = problem.direction(now)
@@ -165,7 +184,7 @@ class FullFem:
         return {
             "kinetic": 0.5 * float(mass @ (velocity**2).sum(1)),
             "elastic": self._energy(s - np.eye(3)),
-            "potential": -float(self._lift @ x1[:, 2]) if self.drag else 0.0,
+            "potential": -float(self._lift @ x1[:, 2]) if self.heavy else 0.0,
             "momentum": mass @ velocity,
             "angular_momentum": mass @ np.cross(x1, velocity),
         }
@@ -173,12 +192,13 @@ class FullFem:
 
 @dataclass(frozen=True)
 class _Point:
-    """An iterate: energy (J), gradient (n, 3), the material's response, the drag's Hessian."""
+    """An iterate: energy (J), gradient (n, 3), the material's response, drag's and contact's Hessians."""
 
     energy: float
     gradient: np.ndarray
     elastic: Response
     drag: np.ndarray | None
+    contact: np.ndarray | None
 
 
 class _Step:
@@ -189,6 +209,7 @@ class _Step:
     ) -> None:
         self.fem, self.h = fem, fem.timestep
         material = fem.body.material
+        self.before = self.reference = x1
         self.guess = 2.0 * x1 - x0
         self.mass = fem.body.vertex_mass / self.h**2
         control = 0.0 if target is None else material.control_stiffness
@@ -213,7 +234,7 @@ class _Step:
         offset = x - self.guess
         energy = 0.5 * float(self.mass @ (offset**2).sum(1)) + self.constant
         gradient = self.mass[:, None] * offset
-        if fem.drag:
+        if fem.heavy:
             energy -= float(fem._lift @ x[:, 2])
             gradient[:, 2] -= fem._lift
         elastic = respond(fem.deformation(x), self.centre, fem.mu, fem.lam)
@@ -225,7 +246,12 @@ class _Step:
             drag_energy, force, drag_hessian = self._drag(x)
             energy += drag_energy
             _scatter(gradient, fem.faces, np.repeat(force[:, None], 3, axis=1))
-        return _Point(energy, gradient, elastic, drag_hessian)
+        contact_hessian = None
+        if fem.contact is not None:
+            part, force, contact_hessian = fem.contact.evaluate(x, self.before, self.reference)
+            energy += part
+            gradient[fem.body.surface] -= force
+        return _Point(energy, gradient, elastic, drag_hessian, contact_hessian)
 
     def direction(self, point: _Point) -> tuple[np.ndarray, float]:
         """Return the Newton step (n, 3) and its slope; always downhill."""
@@ -256,7 +282,12 @@ class _Step:
         )
         data[fem._diagonal] += np.repeat(self.mass, 3)
         size = 3 * len(self.mass)
-        return sp.csc_matrix((data, fem._indices, fem._indptr), (size, size))
+        matrix = sp.csc_matrix((data, fem._indices, fem._indptr), (size, size))
+        if point.contact is None:
+            return matrix
+        dof = 3 * fem.body.surface[:, None] + np.arange(3)
+        rows, columns = np.repeat(dof, 3, axis=1).ravel(), np.tile(dof, 3).ravel()
+        return matrix + sp.csc_matrix((point.contact.ravel(), (rows, columns)), (size, size))
 
     def _drag(self, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Return energy, force per corner (f, 3) and Hessian per pair of corners (f, 3, 3)."""

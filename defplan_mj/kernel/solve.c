@@ -99,44 +99,156 @@ static int newton(Work* w, int limit, dp_info* info) {
   return 0;
 }
 
-/* The step with contact: Newton from the start; if it fails, minimise with the normal forces of
- * friction taken from the last iterate, and try again from there, more and more carefully. */
-static int solve_contact(Work* w, dp_info* info) {
-  const int r = w->body->r, limit = (int)w->par[DP_MAX_NEWTON];
-  work_assemble(w);
-  if (w->m) { /* the free motion leads into the ground: stay */
-    const double none[MAX_N] = {0};
-    move(w, &w->one, w->one.q, none, 0);
-  }
-  if (w->friction == 0) return minimise(w, info);
-  Config start = w->now;
-  double q_start[DP_MAX_MODES];
-  memcpy(q_start, w->q_now, sizeof(double) * r);
-  info->iterations = 0, info->attempts = 1;
-  if (newton(w, limit, info)) return 1;
+/* An iterate, to come back to. */
+typedef struct {
+  Config at;
+  double q[DP_MAX_MODES];
+} Saved;
+static void save(const Work* w, Saved* s) { s->at = w->now, memcpy(s->q, w->q_now, sizeof s->q); }
+static void restore(Work* w, const Saved* s) { w->now = s->at, memcpy(w->q_now, s->q, sizeof s->q); }
 
-  w->now = start, memcpy(w->q_now, q_start, sizeof(double) * r);
+static void positions_now(Work* w, double* out) {
   kinematics(w->body, w->q_now, 0, w->now.zeta, w->scratch);
-  contact_positions(w, &w->now, w->touch_reference);
-  for (int outer = 0; outer < 12; outer++) {
+  contact_positions(w, &w->now, out);
+}
+
+/* Friction from the last iterate's normal forces, which makes the step a minimisation, then Newton from
+ * its minimum; the forces follow at half speed if that is not enough. */
+static int solve_lagged(Work* w, int rounds, dp_info* info) {
+  positions_now(w, w->touch_reference);
+  for (int k = 0; k < rounds; k++) {
     info->attempts++;
     w->reference = w->touch_reference;
     dp_info minimum = {0, 0, 0, 0};
     minimise(w, &minimum);
     info->iterations += minimum.iterations;
     w->reference = NULL;
-    kinematics(w->body, w->q_now, 0, w->now.zeta, w->scratch);
     double next[3 * DP_MAX_CONTACTS];
-    contact_positions(w, &w->now, next);
-    Config found = w->now;
-    double q_found[DP_MAX_MODES];
-    memcpy(q_found, w->q_now, sizeof(double) * r);
-    if (newton(w, 12, info)) return 1;
-    w->now = found, memcpy(w->q_now, q_found, sizeof(double) * r);
-    const double share = outer ? .5 : 1;
+    positions_now(w, next);
+    Saved found;
+    save(w, &found);
+    if (newton(w, 15, info)) return 1;
+    restore(w, &found);
+    const double share = k ? .5 : 1;
     for (int i = 0; i < 3 * w->body->nc; i++) w->touch_reference[i] += share * (next[i] - w->touch_reference[i]);
   }
   return 0;
+}
+
+/* Gradient and Hessian where friction is `share` of what it is, and its derivative by the share: both
+ * are linear in it. */
+static void assemble_share(Work* w, double share, double* by_share) {
+  const int n = 6 + w->body->r;
+  double g[MAX_N], H[MAX_N * MAX_N];
+  w->friction = 0;
+  work_assemble(w);
+  memcpy(g, w->g, sizeof(double) * n), memcpy(H, w->H, sizeof(double) * n * n);
+  w->friction = w->terrain.friction;
+  work_assemble(w);
+  for (int i = 0; i < n; i++) by_share[i] = w->g[i] - g[i], w->g[i] = g[i] + share * by_share[i];
+  for (int i = 0; i < n * n; i++) w->H[i] = H[i] + share * (w->H[i] - H[i]);
+}
+
+/* Factors of the Hessian bordered by the derivative by the share (last column) and `row` (last row). */
+static int border(const Work* w, const double* by_share, const double* row, double* A, int* pivot) {
+  const int n = 6 + w->body->r, m = n + 1;
+  int sign;
+  for (int i = 0; i < n; i++) {
+    memcpy(A + i * m, w->H + i * n, sizeof(double) * n);
+    A[i * m + n] = by_share[i];
+  }
+  memcpy(A + n * m, row, sizeof(double) * m);
+  return lu(A, m, pivot, &sign);
+}
+
+/* Follow the solutions from no friction to all of it, by the length of their path: friction may have
+ * to fall on the way for a while, where the path folds (pseudo-arclength continuation). */
+static int solve_path(Work* w, dp_info* info) {
+  const int n = 6 + w->body->r;
+  double A[(MAX_N + 1) * (MAX_N + 1)], by_share[MAX_N], tangent[MAX_N + 1] = {0}, rhs[MAX_N + 1], move_by[MAX_N + 1];
+  int pivot[MAX_N + 1];
+  double share = 0, length = .1;
+  dp_info minimum = {0, 0, 0, 0};
+  w->friction = 0;
+  minimise(w, &minimum);
+  info->iterations += minimum.iterations;
+  info->attempts++;
+  tangent[n] = 1;
+  Saved last;
+  int found = 0;
+  for (int k = 0; k < 600 && length > 1e-9; k++) {
+    save(w, &last);
+    assemble_share(w, share, by_share);
+    /* the path's direction, on from the last one */
+    memset(rhs, 0, sizeof rhs), rhs[n] = 1;
+    if (!border(w, by_share, tangent, A, pivot)) break;
+    lu_solve(A, pivot, n + 1, rhs, tangent);
+    const double norm = 1 / sqrt(inner(tangent, tangent, n + 1));
+    for (int i = 0; i <= n; i++) tangent[i] *= norm;
+    for (; length > 1e-9; length *= .4) {
+      double at = share + length * tangent[n];
+      int corrections = 0, close = 0;
+      for (int i = 0; i < n; i++) move_by[i] = -tangent[i];
+      move(w, &last.at, last.q, move_by, length);
+      while (!close && corrections++ < 5) {
+        info->iterations += 2;
+        assemble_share(w, at, by_share);
+        memcpy(rhs, w->g, sizeof(double) * n), rhs[n] = 0;
+        if (!border(w, by_share, tangent, A, pivot)) break;
+        lu_solve(A, pivot, n + 1, rhs, move_by);
+        double largest = 0;
+        for (int i = 0; i <= n; i++) largest = fmax(largest, fabs(move_by[i]));
+        if (!(largest < .5 * length)) break; /* another branch is not meant */
+        Config from = w->now;
+        double q_from[DP_MAX_MODES];
+        memcpy(q_from, w->q_now, sizeof q_from);
+        move(w, &from, q_from, move_by, 1), at -= move_by[n];
+        close = largest < 1e-6;
+      }
+      if (close && at >= 1) { /* past the end: the solution is near */
+        Saved beyond;
+        save(w, &beyond);
+        w->friction = w->terrain.friction;
+        if (newton(w, 20, info)) return 1;
+        if (length < 1e-3) restore(w, &beyond);
+        else close = 0;
+      }
+      if (close) {
+        share = at, found = 1;
+        if (corrections <= 3) length *= 2;
+        break;
+      }
+      restore(w, &last);
+    }
+    if (!found || share < -.05) break;
+    found = 0;
+  }
+  w->friction = w->terrain.friction;
+  return 0;
+}
+
+/* The step with contact: Newton; if it fails, more and more careful ways to the same equations. */
+static int solve_contact(Work* w, dp_info* info) {
+  const int limit = (int)w->par[DP_MAX_NEWTON];
+  work_assemble(w);
+  Saved free, start;
+  save(w, &free);
+  if (w->m) { /* the free motion leads into the ground: stay */
+    const double none[MAX_N] = {0};
+    move(w, &w->one, w->one.q, none, 0);
+  }
+  if (w->friction == 0) return minimise(w, info);
+  save(w, &start);
+  info->iterations = 0, info->attempts = 1;
+  if (newton(w, limit, info)) return 1;
+  restore(w, &start);
+  if (solve_lagged(w, 4, info)) return 1;
+  restore(w, &start);
+  if (solve_path(w, info)) return 1;
+  restore(w, &free);
+  if (solve_lagged(w, 4, info)) return 1;
+  restore(w, &free);
+  return solve_path(w, info);
 }
 
 static void pack(const Work* w, double* x_next) {
