@@ -83,11 +83,11 @@ def _attempt(run: Run, solver: Any, seed: int) -> dict[str, Any]:
             gait = (
                 run.gait if own else run.solve(solver, f"gait by {solver.name}, seed {seed}", seed)
             )
-        except DefplanError as error:
-            row["error"] = str(error)
-        else:
             seconds = run.seconds("gait") if own else time.perf_counter() - start
             row |= measure(run.problem, gait, seconds)
+        except DefplanError as error:  # of the solver, or its gait cannot be simulated
+            row["error"] = str(error)
+        else:
             if not own:
                 gait.save(file)
                 made.append(file)

@@ -36,9 +36,15 @@ class Fit:
     The body's amplitude bounds the DMP, as constraints.
     """
 
-    def __init__(self, trajectories: Trajectories, bound: float, iterations: int):
-        problem, self.total = trajectories.problem, trajectories.total
-        self.task = np.array(trajectories.sequences).ravel()
+    def __init__(
+        self,
+        problem: GaitProblem,
+        sequences: Sequence[Sequence[int]],
+        bound: float,
+        iterations: int,
+    ):
+        self.task = np.array(sequences).ravel()
+        self.total = len(self.task) * problem.steps_per_cycle
         k, n, r = problem.n_tasks, problem.steps_per_cycle, problem.dynamics.nu
         self.size = (k, n, r)
         w, mean = ca.MX.sym("w", problem.n_w), ca.MX.sym("mean", r, k * n)
@@ -162,7 +168,7 @@ class Alternating:
         """Run the rounds from w; return the best w and what the stage was."""
         began = time.perf_counter()
         trajectories = Trajectories(problem, sequences, settle, self.threads)
-        fit = Fit(trajectories, self.bound, self.fit_iterations)
+        fit = Fit(problem, sequences, self.bound, self.fit_iterations)
         simulated = problem.objective(sequences, settle, self.threads)
         alone = _of_w_alone(problem)
         best = claimed = float(simulated(w))

@@ -8,7 +8,9 @@ Target shapes are bounded by the body's amplitude as constraints, not by clippin
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -25,6 +27,15 @@ IPOPT = {
     "acceptable_iter": 0,
     "print_level": 0,
     "sb": "yes",
+}
+# From a start that is good already: the barrier is not to drive it away first.
+WARM = {
+    "mu_strategy": "monotone",
+    "mu_init": 1e-5,
+    "bound_push": 1e-6,
+    "bound_frac": 1e-6,
+    "slack_bound_push": 1e-6,
+    "slack_bound_frac": 1e-6,
 }
 
 
@@ -51,8 +62,16 @@ class Shooting:
     bound: float = 4.0
     threads: int = 2
 
-    def solve(self, problem: GaitProblem, seed: int = 0, progress: Progress = no_progress) -> Gait:
+    def solve(
+        self,
+        problem: GaitProblem,
+        seed: int = 0,
+        progress: Progress = no_progress,
+        start: np.ndarray | None = None,
+    ) -> Gait:
         """Return the gait of `problem`; a seed gives one result.
+
+        With a `start` (n_w,) there are no random ones: it is taken through the rounds alone.
 
         The meta data hold `seconds`, `objective` (mean cost of a cycle while switching), `history`
         (objective of each iteration) and `stages`.
@@ -60,16 +79,20 @@ class Shooting:
         began = time.perf_counter()
         rng = np.random.default_rng(seed)
         cost = problem.objective(problem.switching_sequences(rng), settle=1, threads=self.threads)
-        trace = _Trace(progress, self._total_iterations())
+        trace = _Trace(progress, self._total_iterations(start is not None))
         trace.message = "gait: straight ahead"
         trials = []
-        for _ in range(self.starts):
+        if start is not None:
+            trials.append(_Trial(start, (), ()))
+        for _ in range(self.starts if start is None else 0):
             w, stage = self._start(problem, rng, trace)
             trials.append(_Trial(w, (), (stage | {"stage": "straight task"},)))
         for number, (iterations, survivors) in enumerate(self.rounds):
             trace.message = f"gait: all tasks, round {number + 1} of {len(self.rounds)}"
             for i, trial in enumerate(trials):
-                w, stage = self._minimise(problem, cost, trial.w, iterations, trace)
+                w, stage = self._minimise(
+                    problem, cost, trial.w, iterations, trace, WARM if start is not None else {}
+                )
                 history = (*trial.history, *trace.objective[-stage["iterations"] :])
                 stage |= {"stage": trace.message.removeprefix("gait: ")}
                 trials[i] = _Trial(w, history, (*trial.stages, stage))
@@ -85,8 +108,8 @@ class Shooting:
         }
         return problem.gait(best.w, meta)
 
-    def _total_iterations(self) -> int:
-        total, trials = self.starts * self.start_iterations, self.starts
+    def _total_iterations(self, given: bool) -> int:
+        total, trials = (0, 1) if given else (self.starts * self.start_iterations, self.starts)
         for iterations, survivors in self.rounds:
             total, trials = total + trials * iterations, survivors
         return total
@@ -144,12 +167,13 @@ class Shooting:
         w0: np.ndarray,
         iterations: int,
         trace: _Trace,
+        chosen: Mapping[str, object] = MappingProxyType({}),
     ) -> tuple[np.ndarray, dict]:
         """Run ipopt; return w and what the stage was."""
         w = ca.MX.sym("w", problem.n_w)
         shapes = problem.dmp(w)
         amplitude = np.tile(problem.dynamics.body.amplitude, shapes.shape[1])
-        options = {f"ipopt.{key}": value for key, value in IPOPT.items()}
+        options = {f"ipopt.{key}": value for key, value in {**IPOPT, **chosen}.items()}
         options |= {
             "ipopt.max_iter": iterations,
             "print_time": False,

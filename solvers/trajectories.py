@@ -19,20 +19,20 @@ _TRIALS = 8  # of the damping, before Newton gives up
 _TURN, _SHAPE = 0.3, 0.1  # metres that one radian, and one unit of q, count in a residual
 
 
-def _retract(x: ca.SX, step: ca.SX) -> ca.SX:
+def retract(x: ca.SX, step: ca.SX) -> ca.SX:
     """Move a state by a tangent step (nx - 1): rotation vectors in the body frame."""
     turn = ca.vertcat(1, step[3:6] / 2)
     quat = quaternion_product(x[3:7], turn)
     return ca.vertcat(x[:3] + step[:3], quat / ca.norm_2(quat), x[7:] + step[6:])
 
 
-def _difference(a: ca.SX, b: ca.SX) -> ca.SX:
+def difference(a: ca.SX, b: ca.SX) -> ca.SX:
     """Tangent step from state b to state a; rotation by twice the sine of half the angle's vector."""
     turn = quaternion_product(ca.vertcat(b[3], -b[4:7]), a[3:7])
     return ca.vertcat(a[:3] - b[:3], 2 * ca.sign(turn[0]) * turn[1:4], a[7:] - b[7:])
 
 
-class _Compiled:
+class Compiled:
     """A CasADi function on arrays without conversion: inputs and outputs as (columns, rows)."""
 
     def __init__(self, function: ca.Function):
@@ -75,13 +75,13 @@ class Trajectories:
         scale = np.concatenate([np.ones(3), _TURN * np.ones(3), _SHAPE * np.ones(r)])
         self.scale = np.concatenate([scale, h * scale])
         mode = ("thread", threads) if threads > 1 else ()
-        self._stage = _Compiled(self._stage_function(False).map(self.total, *mode))
-        self._stage_jacobian = _Compiled(self._stage_function(True).map(self.total, *mode))
-        self._retract = _Compiled(self._retract_function().map(self.total))
+        self._stage = Compiled(self._stage_function(False).map(self.total, *mode))
+        self._stage_jacobian = Compiled(self._stage_function(True).map(self.total, *mode))
+        self._retract = Compiled(self._retract_function().map(self.total))
         judged = len(sequences) * (len(sequences[0]) - settle)
         value, derivatives, pattern = self._cycle_functions(judged)
         self._cycle, self._cycle_derivatives = (
-            _Compiled(f.map(judged)) for f in (value, derivatives)
+            Compiled(f.map(judged)) for f in (value, derivatives)
         )
         self._index(pattern)
 
@@ -91,8 +91,8 @@ class Trajectories:
         step = self.problem.casadi_dynamics.step
         a, b, da = ca.SX.sym("a", nx), ca.SX.sym("b", nx), ca.SX.sym("da", nt)
         zero = ca.DM.zeros(nt)
-        residual = self.scale * _difference(_retract(a, da), b)
-        difference = ca.Function(
+        residual = self.scale * difference(retract(a, da), b)
+        compare = ca.Function(
             "difference",
             [a, b],
             [
@@ -102,11 +102,11 @@ class Trajectories:
             ],
         )
         tangent = ca.Function(
-            "tangent", [a], [ca.substitute(ca.jacobian(_retract(a, da), da), da, zero)]
+            "tangent", [a], [ca.substitute(ca.jacobian(retract(a, da), da), da, zero)]
         )
         x, u, x_next = ca.MX.sym("x", nx), ca.MX.sym("u", r), ca.MX.sym("x_next", nx)
         y = step(x, u)
-        value, by_next, by_y = difference(x_next, y)
+        value, by_next, by_y = compare(x_next, y)
         outputs = [value]
         if jacobian:
             by_x, by_u = step.jacobian()(x, u, y)
@@ -115,14 +115,14 @@ class Trajectories:
 
     def _retract_function(self) -> ca.Function:
         x, step = ca.SX.sym("x", self.nx), ca.SX.sym("step", self.nt)
-        return ca.Function("retract", [x, step], [_retract(x, step)])
+        return ca.Function("retract", [x, step], [retract(x, step)])
 
     def _cycle_functions(self, judged: int) -> tuple[ca.Function, ca.Function, ca.Sparsity]:
         """E_obj of one cycle by its states (nx, n + 1), start first: value; gradient and Hessian."""
         n, nt = self.n, self.nt
         x, step = ca.SX.sym("x", self.nx, n + 1), ca.SX.sym("step", nt, n + 1)
         wanted = ca.SX.sym("wanted", 7)
-        moved = ca.horzcat(*(_retract(x[:, i], step[:, i]) for i in range(n + 1)))
+        moved = ca.horzcat(*(retract(x[:, i], step[:, i]) for i in range(n + 1)))
         cost = self.problem.cycle_cost(moved[:, 0], moved[:, 1:], wanted) / judged
         hessian, gradient = ca.hessian(cost, ca.vec(step))
         zero = ca.DM.zeros(nt, n + 1)

@@ -142,7 +142,7 @@ def test_fit_returns_to_the_dmp_the_shapes_came_from(problem, trajectories):
     rng = np.random.default_rng(6)
     w = random_w(problem, rng)
     shapes = trajectories.dmp(w)
-    fit = Fit(trajectories, bound=4.0, iterations=300)
+    fit = Fit(trajectories.problem, SEQUENCES, bound=4.0, iterations=300)
     start = w + 0.1 * rng.normal(size=w.shape)
     before = np.abs(trajectories.dmp(start) - shapes).max()
     value = trajectories.dmp(fit(start, shapes, dmp=1e4))
@@ -150,7 +150,7 @@ def test_fit_returns_to_the_dmp_the_shapes_came_from(problem, trajectories):
 
 
 def test_fit_keeps_to_the_bodys_amplitude(problem, trajectories):
-    fit = Fit(trajectories, bound=4.0, iterations=100)
+    fit = Fit(trajectories.problem, SEQUENCES, bound=4.0, iterations=100)
     far = 3.0 * np.ones((trajectories.total, trajectories.r))
     w = fit(random_w(problem, np.random.default_rng(7)), far, dmp=1.0)
     shapes = np.abs(trajectories.dmp(w))

@@ -1,0 +1,56 @@
+"""A walker of which everything is known: one rigid body on four massless feet that the target shape places."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from defplan_mj.gait.problem import quaternion_product
+from defplan_solvers.cio_model import Walker
+
+MASS, INERTIA, STAND, STIFF = 2.0, 0.05, 0.3, 0.7
+HOME = np.array(
+    [[0.3, 0.2, -STAND], [0.3, -0.2, -STAND], [-0.3, 0.2, -STAND], [-0.3, -0.2, -STAND]]
+)
+
+
+def rotation(quat: ca.SX) -> ca.SX:
+    w, a, b, c = (quat[i] for i in range(4))
+    return ca.vertcat(
+        ca.horzcat(1 - 2 * (b * b + c * c), 2 * (a * b - w * c), 2 * (a * c + w * b)),
+        ca.horzcat(2 * (a * b + w * c), 1 - 2 * (a * a + c * c), 2 * (b * c - w * a)),
+        ca.horzcat(2 * (a * c - w * b), 2 * (b * c + w * a), 1 - 2 * (a * a + b * b)),
+    )
+
+
+def toy_walker(timestep: float = 0.03, friction: float = 0.8) -> Walker:
+    """State: position, quaternion, 12 offsets of the feet (body frame, dm), and velocities.
+
+    Offsets follow the target shape by STIFF a step; translation and rotation are semi-implicit.
+    """
+    r, h = 12, timestep
+    x, u, forces = ca.SX.sym("x", 13 + 2 * r), ca.SX.sym("u", r), ca.SX.sym("f", 3, 4)
+    c, quat, q, v, spin = x[:3], x[3:7], x[7 : 7 + r], x[7 + r : 10 + r], x[10 + r : 13 + r]
+    quat = quat / ca.norm_2(quat)
+    arms = HOME.T + 0.1 * ca.reshape(q, 3, 4)
+    turn = rotation(quat)
+    torque = sum(ca.cross(turn @ arms[:, f], forces[:, f]) for f in range(4))
+    v = v + h * (ca.sum2(forces) / MASS - ca.DM([0, 0, 9.81]))
+    spin = spin + h * (turn.T @ torque) / INERTIA
+    turned = quaternion_product(quat, ca.vertcat(1, h * spin / 2))
+    q_next = q + STIFF * (u - q)
+    x_next = ca.vertcat(c + h * v, turned / ca.norm_2(turned), q_next, v, spin, (q_next - q) / h)
+    feet = c + turn @ arms
+    rest = np.zeros(13 + 2 * r)
+    rest[2], rest[3] = STAND, 1
+    return Walker(
+        step=ca.Function("step", [x, u, forces], [x_next], ["x", "u", "forces"], ["x_next"]),
+        feet=ca.Function("feet", [x], [feet], ["x"], ["p"]),
+        rest=rest,
+        carried=np.full(4, 0.25),
+        give=np.full(4, 1e-3),
+        timestep=h,
+        weight=9.81 * MASS,
+        friction=friction,
+        amplitude=np.full(r, 1.0),
+    )
