@@ -238,7 +238,9 @@ def record_episode(
     return {name: np.array(value) for name, value in kept.items()}
 
 
-def swimming_body(folder: Path, medium: Medium | None = None) -> Body:
+def swimming_body(
+    folder: Path, medium: Medium | None = None, radii: tuple[float, ...] = (0.5, 0.12, 0.2)
+) -> Body:
     """Return a small flat ellipsoid that the kernel can simulate."""
     import trimesh
 
@@ -246,7 +248,7 @@ def swimming_body(folder: Path, medium: Medium | None = None) -> Body:
     from defplan_mj.task import BodyOptions
 
     mesh = trimesh.creation.icosphere(subdivisions=3)
-    mesh.apply_scale([0.5, 0.12, 0.2])
+    mesh.apply_scale(radii)
     mesh.export(folder / "pebble.stl")
     options = BodyOptions(
         vertices=200, modes=3, basis=10, samples=10, patches=24, medium=medium or Medium()
@@ -296,11 +298,13 @@ def record_swim(
 
     scene = scene or sample_scene(speed=0.1)
     navigation, gaits = Navigation(laser_range=8.0, space=scene.space), len(files.gait.alpha)
-    plays = None
+    plays, ground = None, files.terrain
     if feedback is not None:
-        plays = feedback.prepare(ReducedDynamics(files.body, TIMESTEP), files.gait)
+        plays = feedback.prepare(ReducedDynamics(files.body, TIMESTEP, ground), files.gait)
     env = navigation_environment(
-        files.body, files.gait, navigation, lambda random: scene, feedback=plays
+        *(files.body, files.gait, navigation, lambda random: scene),
+        terrain=ground,
+        feedback=plays,
     )
     rng = np.random.default_rng(5)
     with Recorder(path, files) as recorder:

@@ -34,6 +34,7 @@ from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.replay import replay_log, write_video
 from defplan_mj.log.run_files import RunFiles
 
+AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
 RIDGE = (TerrainGeom("plane"), TerrainGeom("box", (0.5, 0.1, 0.2), (3.0, 0.0, 0.0)))
 
 
@@ -88,8 +89,7 @@ def test_a_log_with_feedback_replays_its_target_shapes_to_the_bit(path, tmp_path
 
 
 def test_a_log_of_a_body_on_the_ground_holds_the_ground_and_its_forces(tmp_path):
-    air = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
-    body, ground = swimming_body(tmp_path, air), Terrain(friction=0.55, geoms=RIDGE)
+    body, ground = swimming_body(tmp_path, AIR), Terrain(friction=0.55, geoms=RIDGE)
     dynamics = ReducedDynamics(body, TIMESTEP, ground)
     x = dynamics.rest_state()
     path = tmp_path / "ground.mcap"
@@ -110,6 +110,27 @@ def test_a_log_of_a_body_on_the_ground_holds_the_ground_and_its_forces(tmp_path)
     assert result.identical and result.steps == 120
     parts = {name: data for name, data in log.attachments.items() if name != "terrain.json"}
     assert not replay_log(replace(log, attachments=parts)).identical  # without it the body falls
+
+
+def test_an_episode_on_the_ground_replays_to_the_bit_in_kernel_and_mujoco(tmp_path):
+    body, ground = swimming_body(tmp_path, AIR, (0.5, 0.2, 0.12)), Terrain(friction=0.55)
+    path = tmp_path / "walk.mcap"
+    gait = swimming_gait(body)
+    gait = replace(gait, alpha=0.1 * gait.alpha)  # so that it stays on its feet
+    record_swim(path, RunFiles.of(body, gait, terrain=ground))
+    log = read_log(path)
+    assert log.whole and len(log.gait_index) == 6 and len(log.contacts) == 33
+    assert np.ptp(log.states[:, :2], axis=0).max() > 1e-3
+    # what the kernel says pushes, sums up to the change of momentum over the step
+    for contact in log.contacts[:5]:
+        before, after = log.states[contact.step - 1], log.states[contact.step]
+        change = body.mass * (after[10:13] - before[10:13]) / TIMESTEP
+        weight = np.array([0, 0, -9.81]) * (body.mass - 1.2 * body.mass / 1000)
+        drag = 0.02 * body.mass * 9.81  # of the air, and what floats in it
+        np.testing.assert_allclose(contact.forces.sum(0) + weight, change, atol=drag)
+    result = replay_log(log)
+    assert result.identical, result.sentence()
+    assert result.simulators == ("kernel", "mujoco")
 
 
 def test_a_terrain_is_the_same_after_a_way_through_a_file():

@@ -114,7 +114,7 @@ def strip_figure(
                 str(number), (column * gap, 0), xytext=(0, -30), textcoords="offset points",
                 ha="center", va="top", fontsize=7, color=FAINT,
             )  # fmt: skip
-        reach = 0.62 * dynamics.body.length
+        reach = 0.72 * dynamics.body.length
         axes.set_xlim(-reach, (SHOWN - 1) * gap + reach)
         axes.set_ylim(-reach, reach)
         axes.set_title(f"{gait.task_names[task]}, {label}", loc="left", fontsize=8)
