@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from defplan_mj.body.model import Body
 from defplan_mj.dynamics.external import CasadiDynamics
-from defplan_mj.dynamics.feet import lowest_feet
+from defplan_mj.dynamics.feet import Feet, lowest_feet
 from defplan_mj.dynamics.terrain import GROUND, pack_terrain
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.problem import GaitProblem
 
+_WIDE = 0.3  # of the body's length: a foot that wide can tip, and is two
 _GRIP = 0.75  # share of the terrain's friction: rounded friction creeps before it slips
 
 
@@ -64,6 +66,21 @@ class Walker:
         return height + self.give * np.sqrt(self.carried)
 
 
+def pads(body: Body) -> Feet:
+    """Return the feet of a body, a wide one as the outer quarters of its two ends."""
+    found = []
+    for group in lowest_feet(body).vertices:
+        parts = [group]
+        for axis in (0, 1):
+            place = body.vertices[group, axis]
+            low, width = place.min(), np.ptp(place)
+            if width > _WIDE * body.length:
+                ends = (group[place < low + width / 4], group[place > low + 3 * width / 4])
+                parts = [np.intersect1d(part, end) for part in parts for end in ends]
+        found += parts
+    return Feet(tuple(found))
+
+
 def walker_of(problem: GaitProblem) -> Walker:
     """Return the walker of a gait problem.
 
@@ -77,7 +94,7 @@ def walker_of(problem: GaitProblem) -> Walker:
             "contact-invariant optimisation is for bodies that walk on level ground: take another"
             " gait solver, e.g. shooting"
         )
-    feet = lowest_feet(body)
+    feet = pads(body)
     forced = dynamics.with_feet(feet)
     symbolic, rest = CasadiDynamics(forced), dynamics.rest_state()
     contacts = dynamics.contacts(rest)

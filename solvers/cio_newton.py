@@ -250,7 +250,7 @@ class ContactInvariant:
             the walks, and the damping to go on with.
         """
         cost, system = self.cost(walk, weights), self.system(walk, weights)
-        for _ in range(iterations):
+        for done in range(1, iterations + 1):
             step = system.solve(damping, self.metric, self.local_metric)
             new = self.moved(walk, step)
             try:
@@ -263,7 +263,7 @@ class ContactInvariant:
             walk, cost = new.where(better, walk), np.where(better, new_cost, cost)
             damping = damping * np.select([gain > _GOOD, gain > _FAIR, gain > 0], [1 / 3, 1, 3], 6)
             damping = np.maximum(damping, _LEAST_DAMPING)
-            if better.any():
+            if better.any() and done < iterations:
                 system = self.system(walk, weights)
         return walk, damping
 

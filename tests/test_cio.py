@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 from toy_walker import MASS, STAND, toy_walker
 
 from defplan_mj.body.build import build_body
@@ -18,7 +19,7 @@ from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.task import BodyOptions, GaitTask
 from defplan_mj.task import Weights as Objective
 from defplan_solvers import cio, cio_newton, shooting
-from defplan_solvers.cio_model import walker_of
+from defplan_solvers.cio_model import pads, walker_of
 from defplan_solvers.cio_newton import ContactInvariant, Walk
 from defplan_solvers.cio_start import PATTERNS, foot_forces, starts
 from defplan_solvers.cio_terms import Weights
@@ -246,6 +247,18 @@ def test_a_soft_body_stands_on_four_feet_that_carry_it(walking):
     assert abs(carried[up]) < 0.01 * abs(fallen[up])
     ground = walker.level - walker.give * np.sqrt(walker.carried)
     assert np.array(walker.feet(walker.rest))[2] == pytest.approx(ground)
+
+
+def test_a_foot_as_wide_as_the_body_stands_on_its_ends():
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 21), np.linspace(-0.2, 0.2, 9))
+    sole = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()])
+    points = np.vstack([sole, sole[::40] + [0, 0, 0.3]])
+    faces = Delaunay(sole[:, :2]).simplices
+    body = SimpleNamespace(vertices=points, surface=np.arange(len(points)), faces=faces, length=1.0)
+    middles = np.array([points[group].mean(0) for group in pads(body).vertices])
+    assert middles.shape == (4, 3)
+    assert np.sort(middles[:, 0]) == pytest.approx([-0.375, -0.375, 0.375, 0.375], abs=0.03)
+    assert np.sort(middles[:, 1]) == pytest.approx([-0.15, -0.15, 0.15, 0.15], abs=0.03)
 
 
 def test_physics_is_met_by_a_simulation_under_given_forces(walking):
