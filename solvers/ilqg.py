@@ -50,7 +50,7 @@ class Options:
     rate: float = 0.0
     effort: float = 1.0
     horizon: int = 5
-    iterations: int = 2
+    iterations: int = 1
     terminal: bool = True
     leash: float = 0.3
 
@@ -158,7 +158,7 @@ class Ilqg:
         space: str = "planar",
         options: Options = Options(),
     ) -> None:
-        self._level, self._depth = space == "planar", True
+        self._level, self._depth = space == "planar", dynamics.terrain is None
         if self._depth:
             options = replace(options, height=0.0)
         if not self._level:

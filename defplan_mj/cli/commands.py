@@ -11,7 +11,14 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from defplan_mj.cli.console import Console
-from defplan_mj.cli.text import bench_text, evaluation_text, gait_text, run_text, surrogate_text
+from defplan_mj.cli.text import (
+    bench_text,
+    evaluation_text,
+    gait_text,
+    robustness_text,
+    run_text,
+    surrogate_text,
+)
 
 if TYPE_CHECKING:
     from defplan_mj.run import Run
@@ -153,6 +160,16 @@ def evaluate(arguments: argparse.Namespace, console: Console) -> int:
         **without_rows(result),
     }
     console.result(data, evaluation_text(data))
+    return 0
+
+
+def robustness(arguments: argparse.Namespace, console: Console) -> int:
+    """Switch a task's gaits at random in worlds that are not the model's, with each feedback."""
+    from defplan_mj.robustness import study
+
+    with _stage(arguments, console, "robustness") as run:
+        data = study(run, arguments.feedback or (), arguments.cycles, arguments.push)
+    console.result(data, robustness_text(data))
     return 0
 
 

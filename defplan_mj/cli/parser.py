@@ -70,6 +70,11 @@ def build() -> argparse.ArgumentParser:
     _surrogate(add("surrogate", commands.surrogate, "fit the rigid surrogate to a task's gaits"))
     _planner(add("planner", commands.planner, "train a planner on the surrogate"))
     _evaluate(add("evaluate", commands.evaluate, "let a planner steer the reduced dynamics"))
+    _robustness(
+        add(
+            "robustness", commands.robustness, "count a task's falls among pushes, slopes and so on"
+        )
+    )
     _bench(add("bench", commands.bench, "time the step, its peers, the surrogate and the laser"))
     _compare(add("compare", logs.compare, "compare the surrogate with the truth, from logs"))
     _replay(add("replay", logs.replay, "simulate a log again, to the bit", True))
@@ -173,6 +178,22 @@ def _evaluate(sub: argparse.ArgumentParser) -> None:
         "--obstacle-speed", type=_not_negative, default=0.0, metavar="V", help="m/s (default: 0)"
     )
     sub.add_argument("--log", type=Path, metavar="DIR", help="log each episode (MCAP) into DIR")
+    _stage(sub)
+    _common(sub)
+
+
+def _robustness(sub: argparse.ArgumentParser) -> None:
+    _task(sub)
+    sub.add_argument(
+        "--feedback",
+        metavar="NAME",
+        action="append",
+        help="to be measured, as often as wanted (default: all that are installed)",
+    )
+    sub.add_argument("--cycles", type=_count, default=200, metavar="N", help="(default: 200)")
+    sub.add_argument(
+        "--push", type=_not_negative, default=0.3, metavar="V", help="m/s (default: 0.3)"
+    )
     _stage(sub)
     _common(sub)
 

@@ -87,6 +87,23 @@ def _evaluation_row(data: dict[str, Any]) -> list[str]:
     ]
 
 
+def robustness_text(data: dict[str, Any]) -> str:
+    """Return falls and drift, a row for each condition and feedback."""
+    rows = []
+    for row in data["rows"]:
+        low, high = row["interval"]
+        figures = [row["place_m"], row["turn_rad"], row["way_m"]]
+        rows.append(
+            [
+                *(row["condition"], row["feedback"], f"{row['falls']} of {row['cycles']}"),
+                f"{100 * low:.1f}-{100 * high:.1f}%",
+                *("-" if value is None else f"{value:.3f}" for value in figures),
+            ]
+        )
+    columns = ["condition", "feedback", "falls", "95%", "drift, m", "drift, rad", "m a cycle"]
+    return table(columns, rows, f"{data['task']}, gaits switched at random")
+
+
 def _pair(mean: float, deviation: float) -> str:
     return f"{mean:.3f} ({deviation:.3f})"
 

@@ -1,0 +1,287 @@
+"""Robustness: what gaits do when the world is not the model's: pushes, slopes, other friction, other mass."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from defplan_mj import files, registry, threads
+from defplan_mj.body.model import Body
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.tangent import Frame
+from defplan_mj.dynamics.terrain import Terrain, TerrainGeom, pack_terrain
+from defplan_mj.errors import DefplanError
+from defplan_mj.feedback import FeedbackSolver
+from defplan_mj.gait.gait import Gait
+from defplan_mj.gait.switching import MAX_TILT, heading, tilt, wrap
+from defplan_mj.planning.evaluation import wilson_interval
+from defplan_mj.task import Progress, no_progress
+
+if TYPE_CHECKING:
+    from defplan_mj.run import Run
+
+FILE = "robustness.json"
+SETTLE = 2  # cycles from rest whose drift is not counted
+
+
+@dataclass(frozen=True)
+class Condition:
+    """How the world differs from the model that gaits and feedback were made with.
+
+    Attributes:
+        name: for tables.
+        push: a force impulse on the centre of mass once a cycle, at a step drawn at random, in a
+            horizontal direction drawn at random: change of velocity, m/s.
+        slope: of the ground, rising along x, rad.
+        friction, mass: factors.
+    """
+
+    name: str
+    push: float = 0.0
+    slope: float = 0.0
+    friction: float = 1.0
+    mass: float = 1.0
+
+
+CALM = Condition("calm")
+
+
+def conditions(push: float) -> tuple[Condition, ...]:
+    """Return what is measured, with pushes of `push` m/s."""
+    return (
+        CALM,
+        Condition(f"pushes, {push:g} m/s", push=push),
+        Condition("slope, 5 degrees", slope=float(np.radians(5.0))),
+        Condition("friction -30%", friction=0.7),
+        Condition("mass +20%", mass=1.2),
+        Condition("mass -20%", mass=0.8),
+    )
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Cycles of gaits, switched at random, in one condition.
+
+    Attributes:
+        task: (cycles,) gait of each.
+        fell: (cycles,) whether the body tilted past 30 degrees, or the simulation failed; it is
+            then put on its feet where it was and the next cycle begins.
+        counted: (cycles,) whether the cycle's motion counts: not after a fall or a start.
+        motion: (cycles, 3) displacement ahead and to the left, in the yaw frame at the cycle's
+            start, m, and change of heading, rad.
+    """
+
+    task: np.ndarray
+    fell: np.ndarray
+    counted: np.ndarray
+    motion: np.ndarray
+
+    def means(self, tasks: int) -> np.ndarray:
+        """Return (tasks, 3): the mean motion of each gait's cycles that count; NaN if there are none."""
+        mine = [self.motion[self.counted & (self.task == j)] for j in range(tasks)]
+        return np.array([m.mean(0) if len(m) else np.full(3, np.nan) for m in mine])
+
+    def drift(self, expected: np.ndarray) -> tuple[float, float]:
+        """Return what cycles are off from `expected` (tasks, 3), root mean square: m, rad."""
+        off = (self.motion - expected[self.task])[self.counted]
+        off = off[np.isfinite(off).all(1)]
+        if not len(off):
+            return float("nan"), float("nan")
+        place, turn = (off[:, :2] ** 2).sum(1), wrap(off[:, 2]) ** 2
+        return float(np.sqrt(place.mean())), float(np.sqrt(turn.mean()))
+
+
+def world(dynamics: ReducedDynamics, condition: Condition) -> ReducedDynamics:
+    """Return the dynamics as it really is in a condition."""
+    terrain = dynamics.terrain
+    if terrain is not None:
+        packed = pack_terrain(terrain, dynamics.body)
+        half = 0.5 * condition.slope
+        lean = (float(np.cos(half)), 0.0, -float(np.sin(half)), 0.0)
+        terrain = replace(
+            terrain,
+            friction=condition.friction * terrain.friction,
+            stiffness=float(packed[2]),  # of the ground: it does not know the body's mass
+            geoms=(TerrainGeom("plane", quaternion=lean),) if condition.slope else terrain.geoms,
+        )
+    body = heavier(dynamics.body, condition.mass) if condition.mass != 1.0 else dynamics.body
+    return ReducedDynamics(body, dynamics.timestep, terrain)
+
+
+def heavier(body: Body, factor: float) -> Body:
+    """Return the same body of other density: shapes, stiffness and drag as they were."""
+    root = np.sqrt(factor)
+    columns = np.concatenate([[1.0], np.full(body.n_basis, 1 / root)])
+    return replace(
+        body,
+        vertex_mass=factor * body.vertex_mass,
+        basis=body.basis / root,  # orthonormal in the new mass
+        feature_weights=body.feature_weights * root,
+        moments=factor * np.einsum("abij,a,b->abij", body.moments, columns, columns),
+        patch_points=body.patch_points * columns,
+        patch_tangents=body.patch_tangents * columns,
+        frequencies=body.frequencies / root,
+    )
+
+
+def walk(
+    dynamics: ReducedDynamics,
+    gait: Gait,
+    solver: FeedbackSolver,
+    condition: Condition,
+    cycles: int = 200,
+    seed: int = 0,
+) -> Walk:
+    """Switch gaits at random in a condition that the feedback is not told of.
+
+    The feedback's model is `dynamics`. It is told the state relative to the ground, which the body feels under its
+    feet, so not that on a slope its weight pulls it aside.
+
+    Args:
+        dynamics: the model; on level ground or in water.
+        seed: of the switching and the pushes; the same for every feedback.
+    """
+    feedback, real = solver.prepare(dynamics, gait), world(dynamics, condition)
+    generator = np.random.default_rng(seed)
+    n = gait.steps_per_cycle
+    task = generator.integers(0, len(gait.task_names), cycles)
+    push_step, push_angle = (
+        generator.integers(0, n, cycles),
+        generator.uniform(0, 2 * np.pi, cycles),
+    )
+    velocity = slice(7 + dynamics.body.n_modes, 9 + dynamics.body.n_modes)
+    rest = dynamics.rest_state()
+    half = 0.5 * condition.slope if dynamics.terrain is not None else 0.0
+    ground = Frame(np.zeros(3), np.array([np.cos(half), 0.0, -np.sin(half), 0.0]))
+    x, since = rest, 0
+    fell, counted, motion = np.zeros(cycles, bool), np.zeros(cycles, bool), np.zeros((cycles, 3))
+    feedback.reset()
+    for cycle in range(cycles):
+        start = Frame.of(x, True, False)
+        for i in range(n):
+            if condition.push and i == push_step[cycle]:
+                angle = push_angle[cycle]
+                x = x.copy()
+                x[velocity] += condition.push * np.array([np.cos(angle), np.sin(angle)])
+            told = ground.inside(x)
+            if i == 0:
+                feedback.begin(int(task[cycle]), told)
+            x, info = real.step_info(x, feedback.shape(told))
+            if info.failed or tilt(x) > MAX_TILT:
+                fell[cycle] = True
+                break
+        if fell[cycle]:
+            x = ground.outside(Frame.of(ground.inside(x), True, False).outside(rest))
+            feedback.reset()
+            since = 0
+        else:
+            moved = start.inside(x)
+            motion[cycle] = *moved[:2], heading(moved)
+            counted[cycle] = since >= SETTLE
+            since += 1
+    return Walk(task, fell, counted, motion)
+
+
+def measure(
+    dynamics: ReducedDynamics,
+    gait: Gait,
+    solvers: Sequence[FeedbackSolver],
+    wanted: Sequence[Condition],
+    cycles: int = 200,
+    seed: int = 0,
+    progress: Progress = no_progress,
+) -> list[dict[str, Any]]:
+    """Return a row for each condition and feedback; CALM has to be among the conditions.
+
+    'condition', 'feedback'; 'cycles', 'falls', 'rate' and its 95% 'interval' (Wilson); 'place_m' and
+    'turn_rad', root mean square of what a cycle is off from the mean cycle of the same gait and feedback in
+    the calm condition; 'way_m', the mean displacement of a cycle. None: no cycle counts.
+    """
+    from joblib import Parallel, delayed, parallel_config
+
+    jobs = [(condition, solver) for condition in wanted for solver in solvers]
+    workers = min(threads.available_cores(), 2)
+    told = (dynamics.body, dynamics.timestep, dynamics.terrain, gait)
+    walks: list[Walk] = []
+    with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
+        calls = (delayed(_walk)(told, solver, where, cycles, seed) for where, solver in jobs)
+        for one in Parallel(return_as="generator")(calls):
+            where, solver = jobs[len(walks)]
+            walks.append(one)
+            progress(f"robustness: {where.name}, {solver.name}", len(walks) / len(jobs))
+    calm = {solver: one for (where, solver), one in zip(jobs, walks, strict=True) if where == CALM}
+    rows = []
+    for (where, solver), one in zip(jobs, walks, strict=True):
+        falls = int(one.fell.sum())
+        place, turn = one.drift(calm[solver].means(len(gait.task_names)))
+        way = np.hypot(*one.motion[one.counted, :2].T)
+        row = {"condition": where.name, "feedback": solver.name, "cycles": cycles, "falls": falls}
+        row |= {"rate": falls / cycles, "interval": list(wilson_interval(falls, cycles))}
+        row |= {
+            "place_m": place,
+            "turn_rad": turn,
+            "way_m": float(way.mean()) if len(way) else None,
+        }
+        rows.append({k: None if v != v else v for k, v in row.items()})
+    return rows
+
+
+def _walk(
+    told: tuple[Body, float, Terrain | None, Gait],
+    solver: FeedbackSolver,
+    condition: Condition,
+    cycles: int,
+    seed: int,
+) -> Walk:
+    """Walk in a process of its own."""
+    body, timestep, terrain, gait = told
+    dynamics = ReducedDynamics(body, timestep, terrain)
+    return walk(dynamics, gait, solver, condition, cycles, seed)
+
+
+def study(
+    run: Run, names: Sequence[str] = (), cycles: int = 200, push: float = 0.3
+) -> dict[str, Any]:
+    """Measure a run's gaits, or find the measurement: 'task', 'seed', 'cycles', 'rows' of `measure`.
+
+    Args:
+        names: of feedbacks; none: all that are installed.
+        push: change of velocity by a push, m/s.
+
+    Raises:
+        DefplanError: the task is not in the plane.
+    """
+    spec, seed = run.spec, run.options.seed
+    if spec.navigation.space != "planar":
+        raise DefplanError(
+            f"{spec.name} moves in space: robustness is measured for tasks in the plane"
+        )
+    chosen = names or [e.name for e in registry.solvers("feedback") if not e.error]
+    solvers = [registry.get_solver(name, "feedback") for name in chosen]
+    wanted = conditions(push)
+    if spec.terrain is None:
+        wanted = tuple(c for c in wanted if not c.slope and c.friction == 1.0)
+    path, gait = run.folder.file(FILE), run.gait
+
+    def make() -> Iterable[Path]:
+        found = measure(
+            run.dynamics, gait, solvers, wanted, cycles, seed, run.progress("robustness")
+        )
+        document = {"task": spec.name, "seed": seed, "cycles": cycles, "rows": found}
+        files.write_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
+        return [path]
+
+    inputs = {
+        "gait": run.hashes["gait.npz"],
+        "feedbacks": [repr(solver) for solver in solvers],
+        "conditions": [asdict(condition) for condition in wanted],
+        "cycles": cycles,
+        "seed": seed,
+    }
+    run.make("robustness", inputs, make)
+    return json.loads(path.read_text(encoding="utf-8"))
