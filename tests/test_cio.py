@@ -16,6 +16,7 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.gait.switching import measure_cycles
 from defplan_mj.task import BodyOptions, GaitTask
 from defplan_mj.task import Weights as Objective
 from defplan_solvers import cio, cio_newton, shooting
@@ -313,3 +314,24 @@ def test_a_swimmer_is_refused(walking):
     swimmer = GaitProblem(ReducedDynamics(walking.dynamics.body, 0.03), walking.tasks, 10, 20)
     with pytest.raises(DefplanError, match="level ground"):
         cio.JOINT.solve(swimmer)
+
+
+@pytest.mark.slow
+def test_a_walk_is_what_it_was_believed_to_be():
+    """The whole solver: four directions, as simulated with the real contact."""
+    air = Medium(name="air", density=1.2, gravity=-GRAVITY, righting_height=0.0)
+    options = BodyOptions(
+        vertices=600, modes=10, basis=20, samples=12, patches=8, amplitude=1.0, medium=air
+    )
+    body = build_body(ASSETS / "quadruped.obj", options)
+    dynamics = ReducedDynamics(body, 0.03, Terrain(slip_speed=0.03))
+    sides = ((0.4, 0, 0), (-0.4, 0, 0), (0, 0.4, 0), (0, -0.4, 0))
+    tasks = [GaitTask(f"side{i}", move=move) for i, move in enumerate(sides)]
+    weights = Objective(turn=1.0, move=8.0, drift=8.0, tilt=3.0)
+    problem = GaitProblem(dynamics, tasks, 23, 200, weights=weights)
+    gait = cio.JOINT.solve(problem, 0)
+    assert gait.meta["resimulated"] < gait.meta["objective"] + 0.1
+    for task in range(4):
+        cycles = measure_cycles(problem, gait, np.full(10, task))
+        assert cycles.advance[2:].mean() > 0.3
+        assert np.degrees(cycles.tilt.max()) < 20
