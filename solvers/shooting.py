@@ -3,6 +3,12 @@
 The straight task alone from random starts, then all tasks while they are switched; after each
 round only the best starts go on.
 Target shapes are bounded by the body's amplitude as constraints, not by clipping.
+
+A walker's tasks are each optimised alone from random starts, over longer and longer walks, and then
+together while they are switched, over longer and longer sequences: a gait that falls has no useful
+gradient, so that each stage begins with gaits that stay up that long. A fall makes the objective jump
+by orders of magnitude, which ipopt takes for a fair price of a feasible point; so target shapes are
+bounded by a penalty here, and every iteration lowers the objective.
 """
 
 from __future__ import annotations
@@ -15,6 +21,7 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
+from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.task import Progress, no_progress
@@ -37,6 +44,9 @@ WARM = {
     "slack_bound_push": 1e-6,
     "slack_bound_frac": 1e-6,
 }
+WALKING = {"mu_strategy": "monotone", "mu_init": 1e-6}
+_SCALES = 0.3, 1.0, 0.15  # of ipopt's unknowns for a walker: mu, alpha, beta
+_PENALTY = 5.0  # of the mean squared excess of target shapes
 
 
 @dataclass(frozen=True)
@@ -48,6 +58,9 @@ class Shooting:
         start_cycles: cycles of the straight task's trajectory.
         start_iterations: limit of ipopt's iterations for the straight task.
         rounds: (limit of iterations for all tasks, starts that go on), round after round.
+        walk_starts: random starts of each task of a walker.
+        walks: (cycles of the walk, limit of iterations) of each task alone, one after the other.
+        walk_rounds: (cycles of a sequence, sequences, limit of iterations) of all tasks, likewise.
         bound: of alpha and beta.
         threads: rollouts in parallel.
     """
@@ -59,6 +72,9 @@ class Shooting:
     start_cycles: int = 6
     start_iterations: int = 40
     rounds: tuple[tuple[int, int], ...] = ((25, 2), (50, 1), (175, 1))
+    walk_starts: int = 3
+    walks: tuple[tuple[int, int], ...] = ((3, 25), (5, 15), (8, 20))
+    walk_rounds: tuple[tuple[int, int, int], ...] = ((3, 16, 25), (5, 12, 30), (8, 12, 40))
     bound: float = 4.0
     threads: int = 2
 
@@ -78,8 +94,31 @@ class Shooting:
         """
         began = time.perf_counter()
         rng = np.random.default_rng(seed)
+        if problem.dynamics.terrain is not None:
+            trace = _Trace(progress, self._walk_iterations(problem, start is not None))
+            best = self._walk(problem, rng, trace, start)
+        else:
+            trace = _Trace(progress, self._total_iterations(start is not None))
+            best = self._swim(problem, rng, trace, start)
+        meta = {
+            "solver": self.name,
+            "seed": seed,
+            "seconds": time.perf_counter() - began,
+            "objective": best.stages[-1]["objective"],
+            "history": list(best.history),
+            "stages": list(best.stages),
+        }
+        return problem.gait(best.w, meta)
+
+    def _swim(
+        self,
+        problem: GaitProblem,
+        rng: np.random.Generator,
+        trace: _Trace,
+        start: np.ndarray | None,
+    ) -> _Trial:
+        """Return the best of several starts, taken through the rounds."""
         cost = problem.objective(problem.switching_sequences(rng), settle=1, threads=self.threads)
-        trace = _Trace(progress, self._total_iterations(start is not None))
         trace.message = "gait: straight ahead"
         trials = []
         if start is not None:
@@ -97,16 +136,82 @@ class Shooting:
                 stage |= {"stage": trace.message.removeprefix("gait: ")}
                 trials[i] = _Trial(w, history, (*trial.stages, stage))
             trials = sorted(trials, key=lambda trial: trial.stages[-1]["objective"])[:survivors]
-        best = trials[0]
-        meta = {
-            "solver": self.name,
-            "seed": seed,
-            "seconds": time.perf_counter() - began,
-            "objective": best.stages[-1]["objective"],
-            "history": list(best.history),
-            "stages": list(best.stages),
-        }
-        return problem.gait(best.w, meta)
+        return trials[0]
+
+    def _walk(
+        self,
+        problem: GaitProblem,
+        rng: np.random.Generator,
+        trace: _Trace,
+        start: np.ndarray | None,
+    ) -> _Trial:
+        """Return gaits of all tasks, each optimised alone, then taken through the walkers' rounds."""
+        stages, history = [], []
+        if start is None:
+            found = [self._walk_alone(problem.alone(j), rng, trace) for j in range(problem.n_tasks)]
+            stages = [stage for *_, stage in found]
+            mu, alphas, betas, _ = zip(*found, strict=True)
+            start = problem.join(mu[0], np.array(alphas), np.array(betas))
+        w = start
+        for number, (cycles, count, iterations) in enumerate(self.walk_rounds):
+            trace.message = f"gait: all tasks, round {number + 1} of {len(self.walk_rounds)}"
+            sequences = self._solvable(problem, w, cycles, count, rng)
+            if not sequences:
+                raise DefplanError(
+                    f"the gaits of {problem.dynamics.body.name} cannot be simulated over {cycles}"
+                    " cycles: take another seed"
+                )
+            cost = problem.objective(sequences, settle=0, threads=self.threads)
+            w, stage = self._minimise(problem, cost, w, iterations, trace)
+            history += trace.objective[len(trace.objective) - stage["iterations"] :]
+            stages.append(stage | {"stage": trace.message.removeprefix("gait: ")})
+        return _Trial(w, tuple(history), tuple(stages))
+
+    def _walk_alone(
+        self, alone: GaitProblem, rng: np.random.Generator, trace: _Trace
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict]:
+        """Return mu (D, r), alpha, beta (D, r) and the last stage of one task's best start."""
+        name = alone.tasks[0].name
+        trace.message = f"gait: {name} alone"
+        best: tuple[np.ndarray, dict] = alone.random_gait(rng), {"objective": np.inf}
+        for start in range(self.walk_starts):
+            cycles, iterations = self.walks[0]
+            w = best[0] if start == 0 else alone.random_gait(rng)
+            cost = alone.objective([[0] * cycles], settle=0)
+            found = self._minimise(alone, cost, w, iterations, trace)
+            best = min(best, found, key=lambda trial: trial[1]["objective"])
+        for cycles, iterations in self.walks[1:]:
+            if self._solvable(alone, best[0], cycles, 1, rng):
+                cost = alone.objective([[0] * cycles], settle=0)
+                best = self._minimise(alone, cost, best[0], iterations, trace)
+        mu, alpha, beta = alone.split(best[0])
+        return mu, alpha[0], beta[0], best[1] | {"stage": f"{name} alone"}
+
+    def _walk_iterations(self, problem: GaitProblem, given: bool) -> int:
+        first, *longer = (iterations for _, iterations in self.walks)
+        alone = 0 if given else problem.n_tasks * (self.walk_starts * first + sum(longer))
+        return alone + sum(iterations for *_, iterations in self.walk_rounds)
+
+    def _solvable(
+        self,
+        problem: GaitProblem,
+        w: np.ndarray,
+        cycles: int,
+        count: int,
+        rng: np.random.Generator,
+    ) -> list[list[int]]:
+        """Return random sequences of tasks, each task first in as many; none whose solve fails at w."""
+        dynamics, table = problem.dynamics, problem.gait(w, {}).table()
+        found: list[list[int]] = []
+        for _ in range(10 * count):
+            first, rest = len(found) % problem.n_tasks, rng.integers(problem.n_tasks, size=cycles)
+            sequence = [first, *(int(task) for task in rest[1:])]
+            shapes = table[sequence].reshape(-1, dynamics.nu)
+            if not dynamics.rollout_count(dynamics.rest_state(), shapes)[1]:
+                found.append(sequence)
+            if len(found) == count:
+                break
+        return found
 
     def _total_iterations(self, given: bool) -> int:
         total, trials = (0, 1) if given else (self.starts * self.start_iterations, self.starts)
@@ -170,9 +275,24 @@ class Shooting:
         chosen: Mapping[str, object] = MappingProxyType({}),
     ) -> tuple[np.ndarray, dict]:
         """Run ipopt; return w and what the stage was."""
-        w = ca.MX.sym("w", problem.n_w)
+        x, n = ca.MX.sym("x", problem.n_w), problem.n_phases
+        bound = np.concatenate([np.full(n, np.inf), np.full(problem.n_w - n, self.bound)])
+        low, high, w, scale = -bound, bound, x, np.ones(problem.n_w)
+        walks = problem.dynamics.terrain is not None
+        if walks:
+            chosen = WALKING
+            scale = np.repeat(_SCALES, (n, n * problem.n_tasks, n * problem.n_tasks))
+            w = scale * x
+            low[:n] = high[:n] = w0[:n]  # the phases stay as they are
         shapes = problem.dmp(w)
         amplitude = np.tile(problem.dynamics.body.amplitude, shapes.shape[1])
+        nlp, given = {"x": x, "f": cost(w)}, {}
+        if walks:
+            excess = ca.fmax(0, ca.fabs(ca.vec(shapes)) - amplitude)
+            nlp["f"] += _PENALTY * ca.sumsqr(excess) / excess.numel()
+        else:
+            nlp["g"] = ca.vec(shapes)
+            given = {"lbg": -amplitude, "ubg": amplitude}
         options = {f"ipopt.{key}": value for key, value in {**IPOPT, **chosen}.items()}
         options |= {
             "ipopt.max_iter": iterations,
@@ -180,13 +300,11 @@ class Shooting:
             "iteration_callback": trace,
             "show_eval_warnings": False,
         }
-        solver = ca.nlpsol("gait", "ipopt", {"x": w, "f": cost(w), "g": ca.vec(shapes)}, options)
-        free, half = np.full(problem.n_phases, np.inf), problem.n_w - problem.n_phases
-        bound = np.concatenate([free, np.full(half, self.bound)])
+        solver = ca.nlpsol("gait", "ipopt", nlp, options)
         began = time.perf_counter()
-        result = solver(x0=w0, lbx=-bound, ubx=bound, lbg=-amplitude, ubg=amplitude)
+        result = solver(x0=w0 / scale, lbx=low / scale, ubx=high / scale, **given)
         stats = solver.stats()
-        return np.array(result["x"]).ravel(), {
+        return scale * np.array(result["x"]).ravel(), {
             "objective": float(result["f"]),
             "iterations": int(stats["iter_count"]),
             "evaluations": int(stats["n_call_nlp_f"]),

@@ -1,13 +1,13 @@
-"""The 4-legged body (paper, last examples): the task `quadruped-swim` and the suite domain `quadruped`."""
+"""The 4-legged body (paper, last examples): it swims in space and walks; the suite domain `quadruped`."""
 
 from __future__ import annotations
 
 import numpy as np
 from dm_control.utils import containers
 
-from defplan_mj.body.model import Medium
+from defplan_mj.body.model import Material, Medium
 from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec, Weights
-from defplan_tasks import swimming
+from defplan_tasks import swimming, walking
 from defplan_tasks.painting import blend, rise, to_picture
 
 TURN, ADVANCE = 0.45, 0.55  # wanted of a cycle: rad, m
@@ -61,6 +61,46 @@ SWIM = TaskSpec(
     },
 )
 
+WALK = TaskSpec(
+    name="quadruped-walk",
+    description="a 4-legged body walks to targets among upright cylinders, without turning",
+    mesh=swimming.ASSETS / "quadruped.obj",
+    body=BodyOptions(
+        vertices=1054,
+        modes=10,
+        basis=31,
+        samples=16,
+        amplitude=1.0,
+        length=1.0,
+        material=Material(youngs_modulus=1e6),
+        medium=walking.AIR,
+    ),
+    timestep=0.03,
+    steps_per_cycle=23,
+    gait_tasks=walking.walking_tasks(),
+    gait_steps=200,
+    weights=walking.WEIGHTS,
+    terrain=walking.GROUND,
+    navigation=Navigation(),
+    # Tables I to III; hours are the paper's own.
+    paper={
+        "vertices": 1054,
+        "dof": 16,
+        "full_step_s": 2.1,
+        "reduced_step_s": 0.11,
+        "gait_h": 2.5,
+        "dql_h": 3.3,
+        "cnn_h": 1.51,
+        "k2": 10,
+        "k2_success": 1.0,
+        "tasks": ("forward", "back", "left", "right"),
+        "rotation_mean": (0.083, 0.132, 0.071, 0.129),
+        "rotation_sd": (0.104, 0.107, 0.107, 0.105),
+        "translation_mean": (1.963, 0.67, 0.93, 1.64),
+        "translation_sd": (0.269, 0.127, 0.165, 0.305),
+    },
+)
+
 SUITE = containers.TaggedTasks()
 
 
@@ -87,6 +127,31 @@ def navigate3d(body=None, gait=None, **kwargs):
     body = body or swimming.packaged_body("quadruped_body")
     gait = gait or swimming.packaged_gait("quadruped_gait")
     return swimming.navigate_environment(SWIM, body, gait, **kwargs)
+
+
+@SUITE.add("benchmarking")
+def walk(body=None, **kwargs):
+    """Return the walk task: the action is the target shape, in [-1, 1] of the body's amplitude.
+
+    Args:
+        body: by default the packaged one.
+        kwargs: of `walking.walk_environment`.
+    """
+    body = body or swimming.packaged_body("quadruped_walker_body")
+    return walking.walk_environment(WALK, body, **kwargs)
+
+
+@SUITE.add("no_reward_visualization")
+def navigate(body=None, gait=None, **kwargs):
+    """Return the navigation task on the ground: the action is the gait, one step is one gait cycle.
+
+    Args:
+        body, gait: what walks, and how; by default the packaged ones.
+        kwargs: of `swimming.navigate_environment`.
+    """
+    body = body or swimming.packaged_body("quadruped_walker_body")
+    gait = gait or swimming.packaged_gait("quadruped_walker_gait")
+    return swimming.navigate_environment(WALK, body, gait, **kwargs)
 
 
 def skin_texture(height: int = 384, width: int = 384) -> np.ndarray:

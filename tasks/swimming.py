@@ -24,7 +24,6 @@ ASSETS = Path(__file__).parent / "assets"
 
 _TARGET_DISTANCE = (3.0, 8.0)  # m
 _TARGET_RADIUS = 0.5  # m
-_SPEED = 1.0  # body lengths a second that earn the full reward
 _TILT, _BEND = 0.1, 0.2  # spread of the start: rad, in the plane; share of the amplitude
 
 
@@ -80,6 +79,7 @@ def navigate_environment(
         there,
         sampler,
         scene=scene,
+        terrain=spec.terrain,
         time_limit=time_limit,
         random=random,
         environment_kwargs=environment_kwargs,
@@ -98,6 +98,8 @@ def packaged_gait(name: str) -> Gait:
 
 class Swim(base.Task):
     """Swim to a target at one body length a second: in the plane upright, in space anyhow."""
+
+    speed = 1.0  # m/s towards the target that earn the full reward
 
     def initialize_episode(self, physics: Physics) -> None:
         """Draw target, attitude and a slightly bent shape.
@@ -150,8 +152,8 @@ class Swim(base.Task):
             speed = physics.data.qvel[:3] @ to_target / distance
             swimming = rewards.tolerance(
                 speed,
-                bounds=(_SPEED, float("inf")),
-                margin=_SPEED,
+                bounds=(self.speed, float("inf")),
+                margin=self.speed,
                 value_at_margin=0,
                 sigmoid="linear",
             )

@@ -8,7 +8,7 @@ import functools
 import numpy as np
 
 from defplan_mj.body.build import build_body
-from defplan_mj.body.model import Body, Medium
+from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.physics import Physics
@@ -18,6 +18,7 @@ from defplan_mj.planning.scenes import Scene
 from defplan_mj.task import TaskSpec
 from defplan_tasks import fish as fish_domain
 from defplan_tasks import quadruped as quadruped_domain
+from defplan_tasks import tee as tee_domain
 
 
 @functools.cache
@@ -35,9 +36,13 @@ def quadruped() -> Body:
 @functools.cache
 def walker() -> Body:
     """Return the coarse 4-legged body in the air."""
-    air = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
-    spec = quadruped_domain.SWIM
-    return _coarse(dataclasses.replace(spec, body=dataclasses.replace(spec.body, medium=air)), 450)
+    return _coarse(quadruped_domain.WALK, 450)
+
+
+@functools.cache
+def tee() -> Body:
+    """Return the coarse T-shaped body."""
+    return _coarse(tee_domain.WALK, 450)
 
 
 def _coarse(spec: TaskSpec, vertices: int) -> Body:
@@ -67,12 +72,27 @@ def gait() -> Gait:
 @functools.cache
 def quadruped_gait() -> Gait:
     """Return five ways to beat the legs, by hand: one mode leads, another follows."""
-    body, spec = quadruped(), quadruped_domain.SWIM
+    return _beats(quadruped(), quadruped_domain.SWIM, 0.8)
+
+
+@functools.cache
+def walker_gait() -> Gait:
+    """Return four small ways to move the legs, on which the walker stays up."""
+    return _beats(walker(), quadruped_domain.WALK, 0.1)
+
+
+@functools.cache
+def tee_gait() -> Gait:
+    """Return four small ways to move the T-shaped body."""
+    return _beats(tee(), tee_domain.WALK, 0.1)
+
+
+def _beats(body: Body, spec: TaskSpec, size: float) -> Gait:
     names = tuple(task.name for task in spec.gait_tasks)
     alpha, beta = np.zeros((2, len(names), 2, body.n_modes))
     mu = np.tile(np.array([0.0, np.pi])[:, None], (1, body.n_modes))
     for task in range(len(names)):
-        alpha[task, :, task], alpha[task, :, task + 1] = [0.8, -0.8], [-0.5, 0.5]
+        alpha[task, :, task], alpha[task, :, task + 1] = [size, -size], [-0.6 * size, 0.6 * size]
     beta[:] = 0.8
     return Gait(
         body.hash, names, spec.timestep, spec.steps_per_cycle, alpha, beta, mu, body.amplitude

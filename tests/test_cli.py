@@ -71,7 +71,7 @@ def test_list_prints_one_json_object_that_names_all_groups(capfd):
     data = json.loads(capfd.readouterr().out)
     assert {"fish-swim", "quadruped-swim"} <= {task["name"] for task in data["tasks"]}
     assert {"dql", "shooting"} <= {solver["name"] for solver in data["solvers"]}
-    assert [domain["name"] for domain in data["domains"]] == ["fish", "quadruped"]
+    assert [domain["name"] for domain in data["domains"]] == ["fish", "quadruped", "tee"]
 
 
 @pytest.mark.parametrize(

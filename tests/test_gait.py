@@ -183,6 +183,7 @@ def test_a_tilted_or_backward_cycle_is_a_fall() -> None:
         move=np.outer([-1.0, 1.0, -0.1, 1.0], [1, 0, 0]),  # the first cycles start from rest
         turn=np.zeros((4, 3)),
         tilt=np.radians([0, 0, 0, 31.0]),
+        down=np.zeros(4, bool),
     )
     assert measured.falls == 2
 

@@ -21,14 +21,23 @@ KWARGS = {
     ("fish", "swim"): lambda: {"body": samples.fish()},
     ("fish", "navigate"): lambda: {"body": samples.fish(), "gait": samples.gait()},
     ("quadruped", "swim"): lambda: {"body": samples.quadruped()},
+    ("quadruped", "walk"): lambda: {"body": samples.walker()},
+    ("quadruped", "navigate"): lambda: {"body": samples.walker(), "gait": samples.walker_gait()},
+    ("tee", "walk"): lambda: {"body": samples.tee()},
+    ("tee", "navigate"): lambda: {"body": samples.tee(), "gait": samples.tee_gait()},
     ("quadruped", "navigate3d"): lambda: {
         "body": samples.quadruped(),
         "gait": samples.quadruped_gait(),
     },
 }
-DOMAINS = {"fish": {"swim", "navigate"}, "quadruped": {"swim", "navigate3d"}}
+DOMAINS = {
+    "fish": {"swim", "navigate"},
+    "quadruped": {"swim", "navigate3d", "walk", "navigate"},
+    "tee": {"walk", "navigate"},
+}
 PACKAGED = [names for names in KWARGS if names[0] == "fish"]
 TASKS = [pytest.param(*names, id="-".join(names)) for names in KWARGS]
+BENCHMARKS = [names for names in KWARGS if names[1] in ("swim", "walk")]
 OBJECTS = {
     "body": "nbody",
     "joint": "njnt",
@@ -75,7 +84,8 @@ def test_all_tasks_are_listed():
     assert sum(len(tasks) for tasks in suite.TASKS_BY_DOMAIN.values()) == len(suite.ALL_TASKS)
     for domain, tasks in DOMAINS.items():
         assert set(suite.TASKS_BY_DOMAIN[domain]) == tasks
-        assert (domain, "swim") in suite.BENCHMARKING
+        for task in tasks & {"swim", "walk"}:
+            assert (domain, task) in suite.BENCHMARKING
 
 
 @pytest.mark.parametrize(("domain", "task"), PACKAGED)
@@ -88,7 +98,9 @@ def test_packaged_body_and_gait_load(domain, task):
 @pytest.mark.parametrize(("domain", "task"), TASKS)
 def test_missing_packaged_file_is_one_sentence(domain, task, monkeypatch, tmp_path):
     monkeypatch.setattr(swimming, "ASSETS", tmp_path)
-    with pytest.raises(DefplanError, match=f"{domain}_body.npz is missing: reinstall defplan, or"):
+    with pytest.raises(
+        DefplanError, match=rf"{domain}\w*_body.npz is missing: reinstall defplan, or"
+    ):
         suite.load(domain, task)
 
 
@@ -226,9 +238,9 @@ def test_copies_and_pickles_go_on_alike(domain, task):
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("domain", DOMAINS)
-def test_rollout_of_the_swim_model_equals_env_step(domain, threads):
-    environment = _load(domain, "swim", random=3)
+@pytest.mark.parametrize(("domain", "task"), BENCHMARKS)
+def test_rollout_of_the_model_equals_env_step(domain, task, threads):
+    environment = _load(domain, task, random=3)
     environment.reset()
     model, full = environment.physics.model.ptr, mujoco.mjtState.mjSTATE_FULLPHYSICS
     start = environment.physics.get_state(full)

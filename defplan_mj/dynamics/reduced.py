@@ -25,11 +25,13 @@ class Contacts:
         points: (n, 3) world positions of the contact points that touch, m.
         forces: (n, 3) forces on the body, normal and friction, N.
         depths: (n,) how far each is below the surface, m; negative above it, within the thickness.
+        which: (n,) which of the body's contact points each is (`kernel.contact_points`).
     """
 
     points: np.ndarray
     forces: np.ndarray
     depths: np.ndarray
+    which: np.ndarray
 
     @property
     def total(self) -> np.ndarray:
@@ -231,10 +233,10 @@ class ReducedDynamics:
         n = int(self.blob[10])
         points, forces, gaps = np.empty((n, 3)), np.zeros((n, 3)), np.empty(n)
         if self.terrain is None:
-            return Contacts(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+            return Contacts(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0, int))
         self._lib.dp_contacts(self.model, self._state(x), points, forces, gaps)
         touch = (forces != 0.0).any(axis=1)
-        return Contacts(points[touch], forces[touch], -gaps[touch])
+        return Contacts(points[touch], forces[touch], -gaps[touch], np.flatnonzero(touch))
 
     def with_feet(self, feet: Feet) -> ReducedDynamics:
         """Return the same dynamics with given forces on `feet` in the place of contact."""

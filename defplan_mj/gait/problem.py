@@ -113,8 +113,14 @@ class GaitProblem:
         return STYLES[style](body, self.axis)
 
     def random_gait(self, rng: np.random.Generator) -> np.ndarray:
-        """Return w of any phases and a little motion, mostly of the style."""
+        """Return w of any phases and a little motion, mostly of the style.
+
+        A walker's is smaller, so that it stays on its feet, and its elements follow each other evenly.
+        """
         d, r, k = self.elements, self.dynamics.nu, self.n_tasks
+        if self.dynamics.terrain is not None:
+            mu = np.repeat(2 * np.pi * np.arange(d)[:, None] / d, r, 1)
+            return self.join(mu, 0.05 * rng.normal(size=(k, d, r)), np.ones((k, d, r)))
         share = np.ones(r) if self.weights.style == "any" else 0.05 + 0.95 * self.style
         mu = rng.uniform(0, 2 * np.pi, (d, r))
         alpha = 0.3 * share * rng.normal(size=(k, d, r))

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.gait.footing import footing
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.task import GaitTask
 
 MAX_TILT = np.radians(30.0)
+MIN_HEIGHT = 0.6  # of a walker's centre of mass, in units of its height at rest
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,9 @@ class Switching:
         move: (cycles, 3) displacement in the frame at the cycle's start (planar: ahead, left, up), m.
         turn: (cycles, 3) rotation vector in that frame (planar: (0, 0, change of heading)), rad.
         tilt: (cycles,) planar: largest tilt of the body's z axis within the cycle, rad.
+        down: (cycles,) whether a walker came down: tilted past 30 degrees or sunk below 60% of its height
+            at rest. It then stands up again for the next cycle.
+        footing: how a walker puts its feet, see `footing.footing`; empty of a swimmer.
         settle: cycles from rest that the statistics leave out.
     """
 
@@ -36,12 +42,17 @@ class Switching:
     move: np.ndarray
     turn: np.ndarray
     tilt: np.ndarray
+    down: np.ndarray
+    footing: dict[str, float] = field(default_factory=dict)
     settle: int = 2
 
     @property
     def counted(self) -> np.ndarray:
-        """(cycles,) which cycles count."""
-        return np.arange(len(self.task)) >= self.settle
+        """(cycles,) which cycles count: not the first ones from rest, nor one that comes down."""
+        since = np.arange(len(self.task))
+        for start in np.flatnonzero(self.down) + 1:
+            since[start:] = np.arange(len(self.task) - start)
+        return (since >= self.settle) & ~self.down
 
     @property
     def advance(self) -> np.ndarray:
@@ -82,8 +93,8 @@ class Switching:
 
     @property
     def falls(self) -> int:
-        """Cycles that tilt past 30 degrees, or that go or turn the wrong way."""
-        return int(((self.tilt > MAX_TILT) | self.lost).sum())
+        """Cycles that tilt past 30 degrees or come down, or that go or turn the wrong way."""
+        return int(((self.tilt > MAX_TILT) | self.down | self.lost).sum())
 
     def rows(self) -> list[dict]:
         """Return a row a task: its name, and of its cycles the means and standard deviations.
@@ -124,6 +135,7 @@ class Switching:
                 "falls": self.falls,
                 "max_tilt_deg": float(np.degrees(self.tilt.max())),
             },
+            **({"footing": self.footing} if self.footing else {}),
         }
 
 
@@ -153,17 +165,19 @@ def evaluate_switching(
 
 
 def measure_cycles(problem: GaitProblem, gait: Gait, task: np.ndarray) -> Switching:
-    """Roll out the cycles of a given task sequence (cycles,) from rest."""
-    n, dynamics = gait.steps_per_cycle, problem.dynamics
-    shapes = gait.table()[task].reshape(len(task) * n, -1)
-    x = dynamics.rollout(dynamics.rest_state(), shapes)
-    start, end = x[:-1:n], x[n::n]
+    """Roll out the cycles of a given task sequence (cycles,) from rest.
+
+    A walker that comes down starts the next cycle from rest.
+    """
+    dynamics = problem.dynamics
+    x, down = _roll(dynamics, gait.table()[task])
+    start, end = x[:, 0], x[:, -1]
     turn, tilts = np.zeros((len(task), 3)), np.zeros(len(task))
     if problem.space == "planar":
         yaw = heading(start)
         frame = Rotation.from_euler("z", yaw[:, None])
         turn[:, 2] = wrap(heading(end) - yaw)
-        tilts = tilt(x[1:]).reshape(-1, n).max(1)
+        tilts = tilt(x[:, 1:]).max(1)
     else:
         frame = _attitude(start)
         turn = (frame.inv() * _attitude(end)).as_rotvec()
@@ -175,7 +189,29 @@ def measure_cycles(problem: GaitProblem, gait: Gait, task: np.ndarray) -> Switch
         move=frame.inv().apply(end[:, :3] - start[:, :3]),
         turn=turn,
         tilt=tilts,
+        down=down,
+        footing={} if dynamics.terrain is None else footing(dynamics, x[~down]),
     )
+
+
+def _roll(dynamics: ReducedDynamics, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states (cycles, n + 1, nx) under shapes (cycles, n, r), and which came down.
+
+    Raises:
+        DefplanError: a step of a swimmer did not converge.
+    """
+    rest = dynamics.rest_state()
+    x, down = np.empty((len(shapes), shapes.shape[1] + 1, len(rest))), np.zeros(len(shapes), bool)
+    now = rest
+    for i, cycle in enumerate(shapes):
+        if dynamics.terrain is None:
+            x[i] = dynamics.rollout(now, cycle)
+        else:
+            x[i], failed = dynamics.rollout_count(now, cycle)
+            lowest = x[i, :, 2].min() / rest[2]
+            down[i] = failed > 0 or tilt(x[i]).max() > MAX_TILT or lowest < MIN_HEIGHT
+        now = rest if down[i] else x[i, -1]
+    return x, down
 
 
 def _attitude(x: np.ndarray) -> Rotation:

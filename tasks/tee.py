@@ -1,0 +1,93 @@
+"""The T-shaped body (paper, second example): the task `tee-walk` and the suite domain `tee`.
+
+It walks with its bar down, on the bar's two ends, the stem up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from dm_control.utils import containers
+
+from defplan_mj.body.model import Material
+from defplan_mj.task import BodyOptions, Navigation, TaskSpec
+from defplan_tasks import swimming, walking
+from defplan_tasks.painting import blend, rise, to_picture
+
+WALK = TaskSpec(
+    name="tee-walk",
+    description="a T-shaped body walks on its bar's two ends to targets among upright cylinders",
+    mesh=swimming.ASSETS / "tee.obj",
+    body=BodyOptions(
+        vertices=3121,
+        modes=10,
+        basis=31,
+        samples=16,
+        amplitude=1.0,
+        length=1.0,
+        material=Material(youngs_modulus=1e6),
+        medium=walking.AIR,
+    ),
+    timestep=0.03,
+    steps_per_cycle=23,
+    gait_tasks=walking.walking_tasks(),
+    gait_steps=200,
+    weights=walking.WEIGHTS,
+    terrain=walking.GROUND,
+    navigation=Navigation(),
+    # Tables I to III; hours are the paper's own.
+    paper={
+        "vertices": 3121,
+        "dof": 16,
+        "full_step_s": 2.2,
+        "reduced_step_s": 0.13,
+        "gait_h": 3.2,
+        "dql_h": 3.3,
+        "cnn_h": 1.2,
+        "k2": 10,
+        "k2_success": 1.0,
+        "tasks": ("forward", "back", "left", "right"),
+        "rotation_mean": (0.009, 0.012, 0.001, 0.02),
+        "rotation_sd": (0.0, 0.0, 0.03, 0.001),
+        "translation_mean": (0.672, 0.643, 0.522, 0.541),
+        "translation_sd": (0.007, 0.012, 0.031, 0.016),
+    },
+)
+
+SUITE = containers.TaggedTasks()
+
+
+@SUITE.add("benchmarking")
+def walk(body=None, **kwargs):
+    """Return the walk task: the action is the target shape, in [-1, 1] of the body's amplitude.
+
+    Args:
+        body: by default the packaged one.
+        kwargs: of `walking.walk_environment`.
+    """
+    return walking.walk_environment(WALK, body or swimming.packaged_body("tee_body"), **kwargs)
+
+
+@SUITE.add("no_reward_visualization")
+def navigate(body=None, gait=None, **kwargs):
+    """Return the navigation task: the action is the gait, one step is one gait cycle, Eq. 2's reward.
+
+    Args:
+        body, gait: what walks, and how; by default the packaged ones.
+        kwargs: of `swimming.navigate_environment`.
+    """
+    body = body or swimming.packaged_body("tee_body")
+    gait = gait or swimming.packaged_gait("tee_gait")
+    return swimming.navigate_environment(WALK, body, gait, **kwargs)
+
+
+def skin_texture(height: int = 256, width: int = 256) -> np.ndarray:
+    """Return the body's picture, (height, width, 3) uint8: a blue bar, a stem that pales to its top."""
+    across, up = np.meshgrid(np.linspace(-1, 1, width), np.linspace(1, 0, height))
+    bar, stem, top = np.array([[0.13, 0.33, 0.60], [0.26, 0.60, 0.72], [0.97, 0.86, 0.50]])
+    colour = blend(bar, stem, rise(up, 0.24, 0.36))
+    colour = blend(colour, top, rise(up, 0.72, 0.92))
+    for place in (0.44, 0.56, 0.68):  # rings around the stem
+        ring = np.exp(-(((up - place) / 0.016) ** 2))
+        colour = blend(colour, bar, (0.5 * ring)[..., None])
+    ends = rise(abs(across), 0.72, 0.95) * rise(-up, -0.3, -0.2)
+    return to_picture(blend(colour, top, 0.8 * ends))

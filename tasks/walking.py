@@ -1,0 +1,82 @@
+"""What the walkers share: the air, the ground, four gaits without turning, the suite's walk task."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from dm_control.rl import control
+
+from defplan_mj.body.model import Body, Medium
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.terrain import Terrain
+from defplan_mj.host.physics import Physics
+from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.host.skin import texture_of
+from defplan_mj.task import GaitTask, TaskSpec, Weights
+from defplan_tasks import swimming
+
+AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
+GROUND = Terrain(slip_speed=0.03)
+WEIGHTS = Weights(turn=1.0, move=8.0, drift=8.0, tilt=3.0)
+ADVANCE = 0.4  # wanted of a cycle, m
+
+_SPEED = 0.5  # m/s towards the target that earn the full reward
+_STANDING = 0.7  # share of the standing height from which on it is no fall
+
+
+def walking_tasks(advance: float = ADVANCE) -> tuple[GaitTask, ...]:
+    """Return forward, back, left and right, by `advance` (m) a cycle, the heading kept."""
+    sides = {"forward": (1.0, 0.0), "back": (-1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0)}
+    return tuple(
+        GaitTask(name, move=(advance * x, advance * y, 0.0)) for name, (x, y) in sides.items()
+    )
+
+
+def walk_environment(
+    spec: TaskSpec,
+    body: Body,
+    time_limit: float = 40.0,
+    random: np.random.RandomState | int | None = None,
+    environment_kwargs: dict | None = None,
+) -> control.Environment:
+    """Return the task `Walk`: the action is the target shape, in [-1, 1] of the body's amplitude."""
+    model = build_spec(body, spec.timestep, terrain=spec.terrain, texture=texture_of(body))
+    rest = ReducedDynamics(body, spec.timestep, spec.terrain).rest_state()
+    return control.Environment(
+        Physics.from_mjmodel(compile_model(model)),
+        Walk(rest, random=random),
+        control_timestep=spec.timestep,
+        time_limit=time_limit,
+        **(environment_kwargs or {}),
+    )
+
+
+class Walk(swimming.Swim):
+    """Walk to a target at half a metre a second, upright and without sinking down."""
+
+    speed = _SPEED
+
+    def __init__(self, rest: np.ndarray, random: np.random.RandomState | int | None = None):
+        """Take the state (13 + 2r,) it stands in."""
+        super().__init__(random=random)
+        self._rest = rest
+
+    def initialize_episode(self, physics: Physics) -> None:
+        """Draw target, heading and a slightly bent shape; the robot stands on the ground."""
+        super().initialize_episode(physics)
+        r, rest = physics.n_modes, self._rest
+        physics.named.model.site_pos[swimming.TARGET, "z"] = rest[2]
+        yaw = self.random.uniform(-np.pi, np.pi)
+        heading = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+        qpos = physics.data.qpos
+        bend = qpos[7 : 7 + r].copy()
+        qpos[:7], qpos[7 : 7 + r] = rest[:7], rest[7 : 7 + r]
+        sole = physics.surface()[:, 2].min()
+        mujoco.mju_mulQuat(qpos[3:7], heading, rest[3:7].copy())
+        qpos[7 : 7 + r] += bend
+        qpos[2] += sole - physics.surface()[:, 2].min()  # on the ground, bent as it is
+
+    def get_reward(self, physics: Physics) -> float:
+        """Return in [0, 1]: as for a swimmer in the plane, times how high it stands."""
+        standing = np.clip(physics.height() / (_STANDING * self._rest[2]), 0.0, 1.0)
+        return float(standing * super().get_reward(physics))

@@ -1,0 +1,149 @@
+"""The walkers' domain files: their TaskSpecs, the suite's walk task, gaits by shooting, falls."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import host_samples as samples
+import numpy as np
+import pytest
+
+from defplan_mj import registry, suite
+from defplan_mj.body.build import build_body
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.gait.gait import Gait
+from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.gait.switching import evaluate_switching, measure_cycles
+from defplan_mj.task import TaskSpec
+from defplan_solvers.shooting import SOLVER, Shooting
+from defplan_tasks import quadruped, tee, walking
+
+SPECS = {"quadruped": quadruped.WALK, "tee": tee.WALK}
+BODIES = {"quadruped": samples.walker, "tee": samples.tee}
+QUICK = Shooting(walk_starts=2, walks=((2, 12), (3, 4)), walk_rounds=((2, 4, 6),))
+
+
+@pytest.fixture(scope="module")
+def problem() -> GaitProblem:
+    """Return the 4-legged walker's problem, forward and left only."""
+    spec = quadruped.WALK
+    dynamics = ReducedDynamics(samples.walker(), spec.timestep, spec.terrain)
+    tasks = [spec.gait_tasks[0], spec.gait_tasks[2]]
+    return GaitProblem(dynamics, tasks, spec.steps_per_cycle, weights=spec.weights)
+
+
+@pytest.fixture(scope="module")
+def gait(problem: GaitProblem) -> Gait:
+    return QUICK.solve(problem, seed=0)
+
+
+@pytest.mark.parametrize("domain", SPECS)
+def test_task_is_registered_as_the_paper_has_it(domain):
+    spec = registry.get_task(f"{domain}-walk")
+    assert spec is SPECS[domain] and spec.mesh.is_file()
+    assert spec.body.vertices == {"quadruped": 1054, "tee": 3121}[domain]
+    assert spec.body.modes == 10 and spec.gait_steps == 200 and spec.steps_per_cycle == 23
+    assert [task.name for task in spec.gait_tasks] == ["forward", "back", "left", "right"]
+    assert spec.navigation.k2 == 10 and spec.navigation.space == "planar"
+    assert spec.terrain is not None and spec.body.medium.gravity == -9.81
+
+
+def test_the_four_gaits_go_the_four_ways_in_which_they_are_called():
+    forward, back, left, right = np.array([task.move for task in walking.walking_tasks(0.4)])
+    np.testing.assert_allclose([forward, left], [[0.4, 0, 0], [0, 0.4, 0]])
+    np.testing.assert_allclose([back, right], [-forward, -left])
+
+
+@pytest.mark.parametrize("domain", SPECS)
+def test_the_body_stands_on_the_ground_without_sagging_much(domain):
+    spec, body = SPECS[domain], BODIES[domain]()
+    dynamics = ReducedDynamics(body, spec.timestep, spec.terrain)
+    rest = dynamics.rest_state()
+    tall, standing = np.ptp(body.vertices[:, 2]), np.ptp(dynamics.surface(rest)[:, 2])
+    assert 0.9 * tall < standing < 1.02 * tall
+    contacts = dynamics.contacts(rest)
+    np.testing.assert_allclose(
+        contacts.total, [0, 0, 9.81 * body.mass], atol=1e-3 * 9.81 * body.mass
+    )
+    assert contacts.depths.max() < 0.01 * tall
+
+
+@pytest.mark.parametrize("domain", SPECS)
+def test_walk_starts_on_the_ground_at_any_heading(domain):
+    environment = suite.load(domain, "walk", task_kwargs={"random": 0, "body": BODIES[domain]()})
+    physics, headings = environment.physics, []
+    for _ in range(40):
+        environment.reset()
+        headings.append(physics.yaw())
+        assert physics.upright() > 0.999
+        assert abs(physics.surface()[:, 2].min()) < 0.01
+    # of an even spread: no mean direction (4 sigma)
+    assert np.abs(np.exp(1j * np.array(headings)).mean()) < 4 * np.sqrt(0.5 / 40)
+
+
+def test_reward_is_speed_towards_the_target_while_standing():
+    environment = suite.load(
+        "quadruped", "walk", task_kwargs={"random": 0, "body": samples.walker()}
+    )
+    environment.reset()
+    physics, task = environment.physics, environment.task
+    ahead = physics.target() - physics.com()
+    physics.data.qvel[:3] = 0.25 * ahead / np.linalg.norm(ahead)
+    upright = (1 + physics.upright()) / 2
+    assert task.get_reward(physics) == pytest.approx(0.5 * upright, rel=1e-6)
+    physics.data.qvel[:3] *= 10
+    assert task.get_reward(physics) == pytest.approx(upright, rel=1e-6)
+    spec = quadruped.WALK
+    rest = ReducedDynamics(samples.walker(), spec.timestep, spec.terrain).rest_state()
+    physics.data.qpos[2] = 0.35 * rest[2]
+    physics.forward()
+    assert task.get_reward(physics) == pytest.approx(0.5 * upright, rel=1e-6)
+
+
+def test_shooting_makes_the_walker_walk(problem: GaitProblem, gait: Gait) -> None:
+    forward, left = problem.tasks
+    found = measure_cycles(problem, gait, np.zeros(3, int))
+    assert not found.down.any() and found.move[:, 0].sum() > 0.2
+    found = measure_cycles(problem, gait, np.ones(3, int))
+    assert not found.down.any() and found.move[:, 1].sum() > 0.2
+
+
+def test_shooting_lowers_the_objective_in_every_iteration(gait: Gait) -> None:
+    history = np.array(gait.meta["history"])
+    assert len(history) > 3 and (np.diff(history) <= 1e-12).all()
+    assert gait.meta["objective"] <= history[0]
+
+
+def test_a_seed_gives_one_gait_to_the_bit(problem: GaitProblem, gait: Gait) -> None:
+    again = QUICK.solve(problem, seed=0)
+    for name in ("mu", "alpha", "beta"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(gait, name))
+
+
+def test_a_walker_that_comes_down_stands_up_for_the_next_cycle(
+    problem: GaitProblem, gait: Gait
+) -> None:
+    wild = dataclasses.replace(gait, alpha=gait.alpha.copy())
+    wild.alpha[1] = np.random.default_rng(0).normal(size=wild.alpha[1].shape)
+    measured = measure_cycles(problem, wild, np.ones(8, int))
+    down = np.flatnonzero(measured.down)
+    assert len(down) >= 2 and measured.falls >= len(down)
+    for cycle in down[down < 7] + 1:  # from rest, as the first one
+        np.testing.assert_array_equal(measured.move[cycle], measured.move[0])
+        assert not measured.counted[cycle]
+    assert not measured.counted[down].any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("spec", SPECS.values(), ids=SPECS)
+def test_every_seed_walks_four_ways_without_a_fall(spec: TaskSpec, seed: int) -> None:
+    body = build_body(spec.mesh, spec.body, name=spec.name)
+    problem = GaitProblem.of(spec, ReducedDynamics(body, spec.timestep, spec.terrain))
+    measured = evaluate_switching(problem, SOLVER.solve(problem, seed), cycles=200)
+    assert measured.falls == 0
+    for row in measured.rows():
+        assert row["advance_m"] >= 0.3
+    assert measured.footing["belly_load"] < 0.01
+    assert measured.footing["slip_share"] < 0.2
+    assert measured.footing["penetration_share"] < 0.01
