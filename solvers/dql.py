@@ -11,16 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from defplan_mj import files
 from defplan_mj.errors import DefplanError
 from defplan_mj.planning.loops import LoopBreaker
 from defplan_mj.planning.observation import features, target_features
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation, Progress, no_progress
+from defplan_solvers.policy_files import load_policy, save_policy
 
-FORMAT_VERSION = 1
-SAFETY_SECONDS = 90.0
+SAFETY_SECONDS = 600.0
 """Wall time after which training stops even if its transitions are not used up, s."""
 
 
@@ -98,7 +97,7 @@ class DqlSolver:
         network is chosen.
 
         Args:
-            seconds: limit of the wall time (default 90); reached, the result depends on the machine.
+            seconds: limit of the wall time (default 600); reached, the result depends on the machine.
         """
         from defplan_solvers.dql_training import Recipe, train
 
@@ -118,13 +117,12 @@ class DqlSolver:
         for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
             arrays[f"weight{i}"], arrays[f"bias{i}"] = weight, bias
         meta = {
-            "planner": self.name,
             "layers": len(network.weights),
             "task_names": list(planner.task_names),
             "laser_range": planner.laser_range,
             "training": planner.meta,
         }
-        files.save_archive(path, "policy", FORMAT_VERSION, arrays, meta)
+        save_policy(path, self.name, arrays, meta)
 
     def load(self, path: Path, surrogate: Surrogate, navigation: Navigation) -> DqlPlanner:
         """Read a network of `save`.
@@ -132,11 +130,7 @@ class DqlSolver:
         Raises:
             DefplanError: the file is missing, damaged, of another version, planner or robot.
         """
-        arrays, meta, _ = files.load_archive(path, "policy", FORMAT_VERSION)
-        if meta.get("planner") != self.name:
-            raise DefplanError(
-                f"{path} holds a policy of {meta.get('planner')}, not of {self.name}: train it anew"
-            )
+        arrays, meta = load_policy(path, self.name, surrogate.task_names)
         layers = range(meta["layers"])
         network = QNetwork(
             tuple(arrays[f"weight{i}"] for i in layers), tuple(arrays[f"bias{i}"] for i in layers)
@@ -147,11 +141,6 @@ class DqlSolver:
             raise DefplanError(
                 f"{path} wants {network.weights[0].shape[1]} inputs, this task's laser and target"
                 f" give {inputs}: train the planner anew"
-            )
-        if tuple(meta["task_names"]) != surrogate.task_names:
-            raise DefplanError(
-                f"{path} was trained for the gaits {', '.join(meta['task_names'])}, not for"
-                f" {', '.join(surrogate.task_names)}: train the planner anew"
             )
         return DqlPlanner(
             network, surrogate.task_names, meta["laser_range"], dimension, meta["training"]

@@ -7,22 +7,20 @@ listed in docs/planning.md.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from defplan_mj import files
 from defplan_mj.errors import DefplanError
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation, Progress, no_progress
+from defplan_solvers.policy_files import load_policy, save_policy
 
 if TYPE_CHECKING:
     from defplan_solvers.dql_paper_training import PaperNetwork
-
-FORMAT_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -67,22 +65,19 @@ class DqlPaperPlanner:
     Args:
         network: CNN and Q network.
         task_names: the gaits.
-        laser_range: m.
         meta: how it was trained.
     """
 
-    def __init__(
-        self, network: PaperNetwork, task_names: tuple[str, ...], laser_range: float, meta: dict
-    ) -> None:
-        self.network, self.task_names, self.laser_range = network, task_names, laser_range
-        self.meta = meta
+    def __init__(self, network: PaperNetwork, task_names: tuple[str, ...], meta: dict) -> None:
+        self.network, self.task_names, self.meta = network, task_names, meta
 
     def reset(self) -> None:
         """Do nothing: the network has no memory."""
 
     def values(self, observation: Observation) -> np.ndarray:
         """Return the (K,) Q values."""
-        return self.network.values(observation["laser"][None], observation["target"][None, :2])[0]
+        target = observation["target"][: self.network.dimension]
+        return self.network.values(observation["laser"][None], target[None])[0]
 
 
 class DqlPaperSolver:
@@ -117,22 +112,23 @@ class DqlPaperSolver:
         network, curves, meta = train(
             surrogate, navigation, seed, self.configuration, seconds, progress
         )
-        planner = DqlPaperPlanner(network, surrogate.task_names, navigation.laser_range, meta)
+        planner = DqlPaperPlanner(network, surrogate.task_names, meta)
         return TrainResult(planner, curves, time.perf_counter() - started)
 
     def save(self, planner: Planner, path: Path) -> None:
         """Write the networks to `path` (npz), atomically."""
         assert isinstance(planner, DqlPaperPlanner)
         arrays = {k: v.numpy() for k, v in planner.network.state_dict().items()}
+        network = planner.network
         meta = {
-            "planner": self.name,
             "task_names": list(planner.task_names),
-            "beams": planner.network.beams,
-            "laser_range": planner.laser_range,
-            "hidden": list(planner.network.hidden),
+            "beams": network.beams,
+            "space": network.space,
+            "laser_range": network.laser_range,
+            "hidden": list(network.hidden),
             "training": planner.meta,
         }
-        files.save_archive(path, "policy", FORMAT_VERSION, arrays, meta)
+        save_policy(path, self.name, arrays, meta)
 
     def load(self, path: Path, surrogate: Surrogate, navigation: Navigation) -> DqlPaperPlanner:
         """Read networks of `save`.
@@ -144,21 +140,16 @@ class DqlPaperSolver:
 
         from defplan_solvers.dql_paper_training import PaperNetwork
 
-        arrays, meta, _ = files.load_archive(path, "policy", FORMAT_VERSION)
-        if meta.get("planner") != self.name:
+        arrays, meta = load_policy(path, self.name, surrogate.task_names)
+        if (meta["beams"], meta["space"]) != (navigation.beams, navigation.space):
             raise DefplanError(
-                f"{path} holds a policy of {meta.get('planner')}, not of {self.name}: train it anew"
+                f"{path} was trained for {meta['beams']} beams in {meta['space']} scenes, not for"
+                f" {navigation.beams} in {navigation.space} ones: train the planner anew"
             )
-        if meta["beams"] != navigation.beams or tuple(meta["task_names"]) != surrogate.task_names:
-            raise DefplanError(
-                f"{path} was trained for {meta['beams']} beams and the gaits"
-                f" {', '.join(meta['task_names'])}: train the planner anew for this task"
-            )
-        network = PaperNetwork(
-            navigation.beams, meta["laser_range"], len(surrogate.task_names), tuple(meta["hidden"])
-        )
+        trained = replace(navigation, laser_range=meta["laser_range"])
+        network = PaperNetwork(trained, len(surrogate.task_names), tuple(meta["hidden"]))
         network.load_state_dict({k: torch.from_numpy(v) for k, v in arrays.items()})
-        return DqlPaperPlanner(network, surrogate.task_names, meta["laser_range"], meta["training"])
+        return DqlPaperPlanner(network, surrogate.task_names, meta["training"])
 
 
 SOLVER = DqlPaperSolver()

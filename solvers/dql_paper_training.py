@@ -8,9 +8,11 @@ from dataclasses import asdict
 
 import numpy as np
 import torch
+from scipy.optimize import linear_sum_assignment
 from torch import nn
 from torch.nn import functional
 
+from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes, training_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SUCCESS, SurrogateEnv, run_on_surrogate
@@ -22,38 +24,70 @@ FEATURES = 32  # of the CNN
 NEAREST = 2  # obstacles whose positions the CNN learns to tell
 
 
+def taps(beams: int, space: str, width: int) -> np.ndarray:
+    """Return the (beams, width) beams that a filter of `width` weights looks at around each beam.
+
+    On the circle these are the beam and those to its left. On the sphere they are its neighbours, all
+    different, that fit best on a small sunflower around it, as dense as the beams and turned with the
+    meridian, so that a weight means about the same direction everywhere but at the poles.
+    """
+    if space == "planar":
+        return (np.arange(beams)[:, None] + np.arange(width)) % beams
+    directions = beam_directions(beams, space)
+    east = np.column_stack([-directions[:, 1], directions[:, 0], np.zeros(beams)])
+    east /= np.linalg.norm(east, axis=1, keepdims=True)
+    north = np.cross(directions, east)
+    j = np.arange(width)
+    # A disc of j beams' solid angle, j 4 pi / beams, has this radius (rad).
+    away, angle = 2 * np.sqrt(j / beams), np.pi * (3 - np.sqrt(5)) * j
+    places = directions[:, None] * np.cos(away)[:, None]
+    places = places + east[:, None] * (np.sin(away) * np.cos(angle))[:, None]
+    places = places + north[:, None] * (np.sin(away) * np.sin(angle))[:, None]
+    return np.array([linear_sum_assignment(fit, maximize=True)[1] for fit in places @ directions.T])
+
+
 class LaserCnn(nn.Module):
     """The paper's CNN: 16 filters of width 8, 16 of 4, 16 of 4, then 32 features; BNLL units.
 
-    The scan is a ring, so its beginning is repeated after its end.
+    A filter is laid around every beam (see `taps`), on a circle or a sphere of beams alike.
     """
 
-    def __init__(self, beams: int, laser_range: float) -> None:
+    def __init__(self, beams: int, space: str, laser_range: float) -> None:
         super().__init__()
         self.laser_range = laser_range
+        # What a filter looks at is gathered side by side, so it takes a stride of its width.
         self.filters = nn.ModuleList(
-            nn.Conv1d(1 if i == 0 else 16, 16, width) for i, width in enumerate(WIDTHS)
+            nn.Conv1d(1 if i == 0 else 16, 16, width, stride=width)
+            for i, width in enumerate(WIDTHS)
         )
+        self.looks = [torch.from_numpy(taps(beams, space, width).ravel()) for width in WIDTHS]
         self.dense = nn.Linear(16 * beams, FEATURES)
 
     def forward(self, laser: torch.Tensor) -> torch.Tensor:
         """Return (n, 32) features of (n, beams) distances, m."""
         x = 1 - laser[:, None] / self.laser_range
-        for width, filters in zip(WIDTHS, self.filters, strict=True):
-            ring = torch.cat([x, x[..., : width - 1]], -1)
-            x = functional.softplus(filters(ring))
+        for look, filters in zip(self.looks, self.filters, strict=True):
+            x = functional.softplus(filters(x[..., look]))
         return functional.softplus(self.dense(x.flatten(1)))
 
 
 class PaperNetwork(nn.Module):
-    """CNN features and the target's relative position to the values of the gaits."""
+    """CNN features and the target's relative position to the values of the gaits.
 
-    def __init__(self, beams: int, laser_range: float, gaits: int, hidden: tuple[int, ...]) -> None:
+    Args:
+        navigation: for the laser and the dimension d of targets.
+        gaits: how many.
+        hidden: units of each hidden layer.
+    """
+
+    def __init__(self, navigation: Navigation, gaits: int, hidden: tuple[int, ...]) -> None:
         super().__init__()
-        self.beams, self.hidden = beams, hidden
-        self.cnn = LaserCnn(beams, laser_range)
+        self.beams, self.space = navigation.beams, navigation.space
+        self.dimension, self.laser_range = navigation.dimension, navigation.laser_range
+        self.hidden = hidden
+        self.cnn = LaserCnn(self.beams, self.space, self.laser_range)
         layers: list[nn.Module] = []
-        inputs = FEATURES + 2
+        self.inputs = inputs = FEATURES + self.dimension
         for units in hidden:
             layers += [nn.Linear(inputs, units), nn.Softplus()]
             inputs = units
@@ -61,14 +95,14 @@ class PaperNetwork(nn.Module):
 
     @torch.no_grad()
     def see(self, laser: np.ndarray, target: np.ndarray) -> torch.Tensor:
-        """Return the (n, 34) inputs of `q`: features of the scans, target (n, 2) in 10 m."""
+        """Return the (n, 32 + d) inputs of `q`: features of the scans, target (n, d) in 10 m."""
         distances = torch.as_tensor(laser, dtype=torch.float32)
         position = torch.as_tensor(target, dtype=torch.float32) / 10
         return torch.cat([self.cnn(distances), position], 1)
 
     @torch.no_grad()
     def values(self, laser: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the (n, K) values for scans (n, beams) and targets (n, 2)."""
+        """Return the (n, K) values for scans (n, beams) and targets (n, d)."""
         return self.q(self.see(laser, target)).numpy()
 
 
@@ -87,12 +121,7 @@ def train(
     try:
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            network = PaperNetwork(
-                navigation.beams,
-                navigation.laser_range,
-                len(surrogate.task_names),
-                configuration.hidden,
-            )
+            network = PaperNetwork(navigation, len(surrogate.task_names), configuration.hidden)
             error = pretrain(
                 network.cnn, surrogate, navigation, seed, configuration, deadline, progress
             )
@@ -124,14 +153,14 @@ def pretrain(
     robots = configuration.pretraining_batch
     scenes = training_scenes(navigation, 2000, seed)
     env = SurrogateEnv(surrogate, navigation, scenes, robots, generator)
-    head = nn.Linear(FEATURES, 2 * NEAREST)
+    head = nn.Linear(FEATURES, NEAREST * navigation.dimension)
     rate = configuration.pretraining_rate
     optimiser = torch.optim.RMSprop([*cnn.parameters(), *head.parameters()], rate)
     errors: list[float] = []
     for step in range(configuration.pretraining):
         laser = env.step(generator.integers(0, len(surrogate.task_names), robots)).laser
         wanted, visible = nearest_obstacles(env)
-        guess = head(cnn(torch.from_numpy(laser))).view(robots, NEAREST, 2)
+        guess = head(cnn(torch.from_numpy(laser))).view(robots, NEAREST, -1)
         offset = guess - torch.from_numpy(wanted) / navigation.laser_range
         square = (offset**2).sum(2)[torch.from_numpy(visible)]
         loss = square.mean()
@@ -171,7 +200,7 @@ def learn(
     gaits, robots = len(surrogate.task_names), len(scenes)
     per_iteration = robots * configuration.cycles
     capacity = configuration.memory * per_iteration
-    state, after = (torch.zeros(capacity, FEATURES + 2) for _ in range(2))
+    state, after = (torch.zeros(capacity, network.inputs) for _ in range(2))
     gait = torch.zeros(capacity, dtype=torch.long)
     reward = torch.zeros(capacity)
     q, target_q = network.q, copy.deepcopy(network.q)

@@ -31,6 +31,7 @@ from defplan_mj.planning.surrogate_env import (
     TIMEOUT,
     SurrogateEnv,
     SurrogateRuns,
+    Transition,
     run_on_surrogate,
 )
 from defplan_mj.task import Navigation, Progress
@@ -53,7 +54,10 @@ class Recipe:
         target_steps: updates between two copies to the target network.
         explore_first, explore_share: random gaits at the start, falling over that share of training.
         explore_range: lowest and highest share of random gaits afterwards, spread over the robots.
-        collision, goal, cycle: terms of the reward besides the progress in units of an advance.
+        reward: 'progress' in units of an advance, besides the terms below; 'goal', these terms
+            alone; or 'eq2', the paper's reward as it stands, without them.
+        collision, goal, cycle: terms of the reward.
+        k2_only: trains on the K2 scenes, as the paper does, not on the bank.
         averaging: decay of the averaged network, a step.
         checkpoints: evaluations during training.
         validation: held-out scenes that choose the network.
@@ -74,9 +78,11 @@ class Recipe:
     explore_first: float = 0.5
     explore_share: float = 0.15
     explore_range: tuple[float, float] = (0.05, 0.4)
+    reward: str = "progress"
     collision: float = 10.0
     goal: float = 5.0
     cycle: float = 0.05
+    k2_only: bool = False
     averaging: float = 0.999
     checkpoints: int = 15
     validation: int = 200
@@ -147,7 +153,10 @@ class _Robots(VecEnv):
     def __init__(
         self, surrogate: Surrogate, navigation: Navigation, seed: int, recipe: Recipe
     ) -> None:
-        bank = training_scenes(navigation, recipe.scenes, seed)
+        if recipe.k2_only:
+            bank = SceneBatch.of(k2_scenes(navigation, seed))
+        else:
+            bank = training_scenes(navigation, recipe.scenes, seed)
         generator = np.random.default_rng(seed)
         wary = replace(surrogate, radius=surrogate.radius + recipe.margin)
         self.robots = SurrogateEnv(wary, navigation, bank, recipe.robots, generator, recipe.noise)
@@ -167,10 +176,8 @@ class _Robots(VecEnv):
         self.actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
-        step, recipe = self.robots.step(self.actions), self.recipe
-        reward = step.progress / self.advance - recipe.cycle
-        reward -= recipe.collision * (step.outcome == COLLISION)
-        reward += recipe.goal * (step.outcome == SUCCESS)
+        step = self.robots.step(self.actions)
+        reward = _reward(step, self.recipe, self.advance)
         done = step.outcome != RUNNING
         infos: list[dict] = [{} for _ in range(self.num_envs)]
         ended = np.flatnonzero(done)
@@ -197,6 +204,17 @@ class _Robots(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         return [False] * self.num_envs
+
+
+def _reward(step: Transition, recipe: Recipe, advance: float) -> np.ndarray:
+    """Return the (n,) rewards of a cycle; `advance` is the longest of a gait, m."""
+    if recipe.reward == "eq2":
+        return step.reward
+    reward = step.progress / advance if recipe.reward == "progress" else np.zeros(len(step.outcome))
+    reward = reward - recipe.cycle
+    reward -= recipe.collision * (step.outcome == COLLISION)
+    reward += recipe.goal * (step.outcome == SUCCESS)
+    return reward
 
 
 class _RobotsDQN(DQN):

@@ -6,13 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from defplan_mj import files
-from defplan_mj.errors import DefplanError
 from defplan_mj.planning.planner import Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation, Progress, no_progress
-
-FORMAT_VERSION = 1
+from defplan_solvers.policy_files import load_policy, save_policy
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,7 @@ class UntrainedSolver:
 
     def save(self, planner: Planner, path: Path) -> None:
         """Write the planner's name to `path`, atomically."""
-        files.save_archive(path, "policy", FORMAT_VERSION, {}, {"planner": self.name})
+        save_policy(path, self.name)
 
     def load(self, path: Path, surrogate: Surrogate, navigation: Navigation) -> Planner:
         """Return the planner of a file of `save`.
@@ -51,9 +48,5 @@ class UntrainedSolver:
         Raises:
             DefplanError: the file is missing, damaged, of another version or of another planner.
         """
-        _, meta, _ = files.load_archive(path, "policy", FORMAT_VERSION)
-        if meta.get("planner") != self.name:
-            raise DefplanError(
-                f"{path} holds a policy of {meta.get('planner')}, not of {self.name}"
-            )
+        load_policy(path, self.name, surrogate.task_names)
         return self.make(surrogate, navigation)

@@ -11,12 +11,14 @@ import torch
 from defplan_mj.errors import DefplanError
 from defplan_mj.planning.observation import features
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes
-from defplan_mj.planning.surrogate_env import run_on_surrogate
+from defplan_mj.planning.surrogate_env import COLLISION, RUNNING, SUCCESS, run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.dql import SOLVER, DqlPlanner, QNetwork
-from defplan_solvers.dql_training import Recipe, train
+from defplan_solvers.dql_ablations import CHANGES, ablate
+from defplan_solvers.dql_training import Recipe, _reward, _Robots, train
 
 NAVIGATION = Navigation()
+SPATIAL = Navigation(k2=30, beams=128, space="spatial")
 SMALL = Recipe(
     transitions=4000,
     robots=32,
@@ -73,17 +75,59 @@ def test_features_tell_near_and_far_targets_and_sides_apart():
     assert row.dtype == np.float32 and np.allclose(row, expected, atol=1e-6)
 
 
-def test_training_repeats_itself_to_the_bit_whatever_was_drawn_before():
-    surrogate = samples.surrogate()
-    first, curves, meta = train(surrogate, NAVIGATION, 0, SMALL, 60, silent)
+@pytest.mark.parametrize(
+    ("robot", "navigation", "layer"),
+    [
+        pytest.param(samples.surrogate, NAVIGATION, (64, 69), id="planar"),
+        pytest.param(samples.swimmer, SPATIAL, (64, 134), id="spatial"),
+    ],
+)
+def test_training_repeats_itself_to_the_bit_whatever_was_drawn_before(robot, navigation, layer):
+    surrogate = robot()
+    first, curves, meta = train(surrogate, navigation, 0, SMALL, 600, silent)
     np.random.seed(5)  # noqa: NPY002 (stable-baselines3 draws from the global generator)
     torch.manual_seed(5)
-    again, _, _ = train(surrogate, NAVIGATION, 0, SMALL, 60, silent)
-    other, _, _ = train(surrogate, NAVIGATION, 1, SMALL, 60, silent)
+    again, _, _ = train(surrogate, navigation, 0, SMALL, 600, silent)
+    other, _, _ = train(surrogate, navigation, 1, SMALL, 600, silent)
     assert all(np.array_equal(a, b) for a, b in zip(first.weights, again.weights, strict=True))
     assert not np.array_equal(first.weights[0], other.weights[0])
+    assert first.weights[0].shape == layer
     assert meta["transitions"] == 4000 and not meta["stopped_early"]
     assert {len(curve) for curve in curves.values()} == {2}
+
+
+def test_rewards_of_a_cycle_are_those_the_recipe_names():
+    robots = _Robots(samples.swimmer(), SPATIAL, 0, SMALL)
+    step = dataclasses.replace(
+        robots.robots.step(np.zeros(SMALL.robots, int)),
+        progress=np.array([0.45, -0.9, 0.0], np.float32),
+        reward=np.array([9.0, -18.0, -1000.0], np.float32),
+        outcome=np.array([RUNNING, SUCCESS, COLLISION]),
+    )
+    rewards = {
+        name: _reward(step, dataclasses.replace(SMALL, reward=name), 0.45)
+        for name in ("progress", "goal", "eq2")
+    }
+    assert np.allclose(rewards["progress"], [1 - 0.05, -2 + 5 - 0.05, -10 - 0.05], atol=1e-6)
+    assert np.allclose(rewards["goal"], [-0.05, 5 - 0.05, -10 - 0.05], atol=1e-6)
+    assert np.array_equal(rewards["eq2"], step.reward)
+
+
+def test_robots_train_in_varied_scenes_or_in_the_k2_scenes_alone():
+    varied = _Robots(samples.swimmer(), SPATIAL, 3, SMALL).robots.batch
+    fixed = _Robots(samples.swimmer(), SPATIAL, 3, dataclasses.replace(SMALL, k2_only=True))
+    assert len(varied) == SMALL.scenes and len(fixed.robots.batch) == 30
+    wanted = SceneBatch.of(k2_scenes(SPATIAL, 3))
+    assert np.array_equal(fixed.robots.batch.targets, wanted.targets)
+
+
+def test_an_ablation_tries_the_chosen_network_on_k2_and_novel_scenes():
+    recipe = dataclasses.replace(SMALL, **CHANGES["raw Eq. 2"])
+    row = ablate(samples.swimmer(), SPATIAL, 0, recipe)
+    again = ablate(samples.swimmer(), SPATIAL, 0, recipe)
+    assert row.pop("cpu_seconds") > 0 and again.pop("cpu_seconds") > 0
+    assert row == again and set(row) == {"k2", "novel", "novel_timeouts"}
+    assert 0 <= row["novel"] + row["novel_timeouts"] <= 1
 
 
 def test_training_stops_at_the_limit_of_time_and_still_gives_a_network():
@@ -105,20 +149,42 @@ def test_training_leaves_the_number_of_torch_threads_as_it_was():
     assert torch.get_num_threads() == before
 
 
+def success(surrogate, navigation, network, scenes):
+    def act(laser, target, robots):
+        return network(features(laser, target, navigation.laser_range)).argmax(1)
+
+    return run_on_surrogate(surrogate, navigation, SceneBatch.of(scenes), act).rate()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_training_learns_to_reach_k2_and_most_novel_targets(seed):
     recipe = Recipe(transitions=150_000, buffer=150_000, checkpoints=8)
     surrogate = samples.surrogate()
     network, _, _ = train(surrogate, NAVIGATION, seed, recipe, 600, silent)
+    assert success(surrogate, NAVIGATION, network, k2_scenes(NAVIGATION, seed)) == 1
+    novel = novel_scenes(NAVIGATION, 200, seed + 50)
+    assert success(surrogate, NAVIGATION, network, novel) > 0.85
 
-    def act(laser, target, robots):
-        return network(features(laser, target, 10.0)).argmax(1)
 
-    k2 = SceneBatch.of(k2_scenes(NAVIGATION, seed))
-    novel = SceneBatch.of(novel_scenes(NAVIGATION, 200, seed + 50))
-    assert run_on_surrogate(surrogate, NAVIGATION, k2, act).rate() == 1
-    assert run_on_surrogate(surrogate, NAVIGATION, novel, act).rate() > 0.85
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_training_in_space_learns_to_reach_k2_and_most_novel_targets(seed):
+    surrogate = samples.swimmer()
+    network, _, meta = train(surrogate, SPATIAL, seed, Recipe(), 3600, silent)
+    assert not meta["stopped_early"]
+    assert success(surrogate, SPATIAL, network, k2_scenes(SPATIAL, seed)) == 1
+    novel = novel_scenes(SPATIAL, 200, seed + 50)
+    assert success(surrogate, SPATIAL, network, novel) > 0.85
+
+
+@pytest.mark.slow
+def test_without_a_reward_for_progress_a_robot_that_turns_in_place_learns_nothing():
+    budget = Recipe(transitions=60_000, buffer=60_000, checkpoints=4)
+    kept = ablate(samples.swimmer(), SPATIAL, 0, budget)
+    lost = ablate(samples.swimmer(), SPATIAL, 0, dataclasses.replace(budget, reward="goal"))
+    assert kept["k2"] > 0.8 and kept["novel"] > 0.7
+    assert lost["k2"] < 0.1 and lost["novel"] < 0.1
 
 
 def test_a_saved_planner_gives_the_same_values_to_the_bit(tmp_path):
