@@ -17,7 +17,7 @@ from defplan_tasks import swimming
 
 AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
 GROUND = Terrain(slip_speed=0.03)
-WEIGHTS = Weights(turn=1.0, move=8.0, drift=8.0, tilt=3.0)
+WEIGHTS = Weights(turn=1.0, move=8.0, drift=8.0, tilt=3.0, slip=0.01)
 ADVANCE = 0.4  # wanted of a cycle, m
 
 _SPEED = 0.5  # m/s towards the target that earn the full reward

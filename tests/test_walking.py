@@ -10,9 +10,10 @@ import pytest
 
 from defplan_mj import registry, suite
 from defplan_mj.body.build import build_body
+from defplan_mj.dynamics.feet import lowest_feet
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
-from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.gait.problem import LIFT, GaitProblem
 from defplan_mj.gait.switching import evaluate_switching, measure_cycles
 from defplan_mj.task import TaskSpec
 from defplan_solvers.shooting import SOLVER, Shooting
@@ -98,6 +99,33 @@ def test_reward_is_speed_towards_the_target_while_standing():
     physics.data.qpos[2] = 0.35 * rest[2]
     physics.forward()
     assert task.get_reward(physics) == pytest.approx(0.5 * upright, rel=1e-6)
+
+
+def test_slip_costs_the_squared_speed_of_feet_that_are_down(problem: GaitProblem) -> None:
+    dynamics, spec = problem.dynamics, quadruped.WALK
+    rng = np.random.default_rng(0)
+    weights = dataclasses.replace(spec.weights, slip=1.0)
+    sliding, plain = (
+        GaitProblem(dynamics, problem.tasks, spec.steps_per_cycle, weights=given)
+        for given in (weights, dataclasses.replace(weights, slip=0.0))
+    )
+    w = sliding.random_gait(rng)
+    states = dynamics.rollout(dynamics.rest_state(), sliding.gait(w, {}).table()[0])
+    forced = dynamics.with_feet(lowest_feet(dynamics.body))
+    places = np.array([forced.feet_positions(x) for x in states])
+    speed = np.linalg.norm(np.diff(places, axis=0)[:, :, :2], axis=2) / spec.timestep
+    down = np.exp(-((np.maximum(0, places - places[0])[1:, :, 2] / LIFT) ** 2))
+    wanted = (speed**2 * down).sum(1).mean()
+    assert wanted > 0
+    found = [
+        float(p.trajectory_cost([0], settle=0)(states[0], states[1:].T)) for p in (sliding, plain)
+    ]
+    assert found[0] - found[1] == pytest.approx(wanted, rel=1e-9)
+    objective = sliding.objective([[0]], settle=0)
+    direction = rng.normal(size=w.shape)
+    slope = float(objective.factory("g", ["w"], ["grad:cost:w"])(w).T @ direction)
+    ahead, back = (float(objective(w + e * direction)) for e in (1e-6, -1e-6))
+    assert slope == pytest.approx((ahead - back) / 2e-6, rel=1e-4)
 
 
 def test_shooting_makes_the_walker_walk(problem: GaitProblem, gait: Gait) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.external import CasadiDynamics
+from defplan_mj.dynamics.feet import lowest_feet
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
@@ -21,6 +22,7 @@ from defplan_mj.task import GaitTask, TaskSpec, Weights
 
 _X = np.array([1.0, 0.0, 0.0])
 DEFAULT_WEIGHTS = Weights()
+LIFT = 0.02  # m; a foot that is lifted by more is free to move
 
 
 class GaitProblem:
@@ -232,9 +234,28 @@ class GaitProblem:
         x0, x = ca.MX.sym("x0", nx), ca.MX.sym("x", nx, n * cycles)
         starts = ca.horzcat(x0, x[:, n - 1 : -1 : n])
         costs = self.cycle_cost.map(cycles)(starts, x, self.wanted[:, list(sequence)])
-        return ca.Function(
-            "trajectory_cost", [x0, x], [ca.sum2(costs[settle:]) / (cycles - settle)]
-        )
+        cost = ca.sum2(costs[settle:]) / (cycles - settle)
+        if self.weights.slip and self.dynamics.terrain is not None:
+            cost += self.weights.slip * self._slip(ca.horzcat(x0, x))
+        return ca.Function("trajectory_cost", [x0, x], [cost])
+
+    def _slip(self, x: ca.MX) -> ca.MX:
+        """Mean over steps of the squared horizontal speeds of the feet, of each as far as it is down."""
+        count, places = x.shape[1], self._feet.map(x.shape[1])(x)
+        rest = np.array(self._feet(self.dynamics.rest_state()))
+        n_feet = rest.shape[1]
+        apart = ca.horzsplit(places, n_feet)
+        before, after = ca.vertcat(*map(ca.vec, apart[:-1])), ca.vertcat(*map(ca.vec, apart[1:]))
+        speed = ca.reshape(after - before, 3, -1)[:2, :] / self.dynamics.timestep
+        lifted = ca.reshape(after, 3, -1)[2, :] - np.tile(rest[2], count - 1)[None]
+        down = ca.exp(-((ca.fmax(0, lifted) / LIFT) ** 2))
+        return ca.dot(ca.sum1(speed**2), down) / (count - 1)
+
+    @cached_property
+    def _feet(self) -> ca.Function:
+        """x -> (3, n_feet): where the feet are, the parts of the body that it stands on."""
+        feet = lowest_feet(self.dynamics.body)
+        return CasadiDynamics(self.dynamics.with_feet(feet)).feet
 
     def objective(
         self, sequences: Sequence[Sequence[int]], settle: int = 1, threads: int = 1

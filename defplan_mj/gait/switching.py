@@ -49,10 +49,7 @@ class Switching:
     @property
     def counted(self) -> np.ndarray:
         """(cycles,) which cycles count: not the first ones from rest, nor one that comes down."""
-        since = np.arange(len(self.task))
-        for start in np.flatnonzero(self.down) + 1:
-            since[start:] = np.arange(len(self.task) - start)
-        return (since >= self.settle) & ~self.down
+        return (since_rest(self.down) >= self.settle) & ~self.down
 
     @property
     def advance(self) -> np.ndarray:
@@ -170,7 +167,7 @@ def measure_cycles(problem: GaitProblem, gait: Gait, task: np.ndarray) -> Switch
     A walker that comes down starts the next cycle from rest.
     """
     dynamics = problem.dynamics
-    x, down = _roll(dynamics, gait.table()[task])
+    x, down = roll_cycles(dynamics, gait.table()[task])
     start, end = x[:, 0], x[:, -1]
     turn, tilts = np.zeros((len(task), 3)), np.zeros(len(task))
     if problem.space == "planar":
@@ -194,8 +191,11 @@ def measure_cycles(problem: GaitProblem, gait: Gait, task: np.ndarray) -> Switch
     )
 
 
-def _roll(dynamics: ReducedDynamics, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states (cycles, n + 1, nx) under shapes (cycles, n, r), and which came down.
+def roll_cycles(dynamics: ReducedDynamics, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Roll out cycles of target shapes (cycles, n, r) from rest; a walker that comes down begins again.
+
+    Returns:
+        The states (cycles, n + 1, nx), and (cycles,) which came down, see `Switching.down`.
 
     Raises:
         DefplanError: a step of a swimmer did not converge.
@@ -212,6 +212,14 @@ def _roll(dynamics: ReducedDynamics, shapes: np.ndarray) -> tuple[np.ndarray, np
             down[i] = failed > 0 or tilt(x[i]).max() > MAX_TILT or lowest < MIN_HEIGHT
         now = rest if down[i] else x[i, -1]
     return x, down
+
+
+def since_rest(down: np.ndarray) -> np.ndarray:
+    """Return how many cycles there were since the robot was at rest, (cycles,), see `roll_cycles`."""
+    since = np.arange(len(down))
+    for start in np.flatnonzero(down) + 1:
+        since[start:] = np.arange(len(down) - start)
+    return since
 
 
 def _attitude(x: np.ndarray) -> Rotation:

@@ -13,6 +13,7 @@ from defplan_mj.body.rotation_strain import deformation
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
+from defplan_mj.gait.switching import roll_cycles, since_rest
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Progress, no_progress
 
@@ -55,6 +56,12 @@ def fit_surrogate(
     own_angle = _angle(kabsch(covariance))
     own_length = np.linalg.norm(translation, axis=1)
     mine = [task == j for j in range(len(gait.task_names))]
+    for name, of_task in zip(gait.task_names, mine, strict=True):
+        if not of_task.any():
+            raise DefplanError(
+                f"{dynamics.body.name} falls in every cycle of the gait {name}: solve the gaits with"
+                " another seed or solver"
+            )
     return Surrogate(
         body_hash=dynamics.body.hash,
         gait_hash=gait.hash,
@@ -113,7 +120,10 @@ def _coordinates(body: Body, q: np.ndarray) -> np.ndarray:
 def _switch(
     dynamics: ReducedDynamics, gait: Gait, pairs: int, seed: int, progress: Progress
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Switch tasks at random, each equally often; return tasks (n,), states before, after, radius."""
+    """Switch tasks at random, each equally often; return tasks (n,), states before, after, radius.
+
+    Cycles in which a walker comes down are left out: planning ends there.
+    """
     generator = np.random.default_rng(seed)
     tasks = generator.permutation(np.repeat(np.arange(len(gait.task_names)), pairs))
     chains = [
@@ -121,27 +131,27 @@ def _switch(
         for chain in np.array_split(tasks, CHAINS)
         if len(chain)
     ]
-    table, every = gait.table(), gait.steps_per_cycle
+    table = gait.table()
 
-    def run(chain: np.ndarray) -> tuple[np.ndarray, float]:
-        shapes = table[chain].reshape(-1, dynamics.nu)
-        states = dynamics.rollout(dynamics.rest_state(), shapes)
-        counted = states[WARM_UP * every :]
-        measured = counted[: RADIUS_CYCLES * every]
-        farthest = max(np.linalg.norm(dynamics.surface(x) - x[:3], axis=1).max() for x in measured)
-        return counted[::every], float(farthest)
+    def run(chain: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        states, down = roll_cycles(dynamics, table[chain])
+        counted = (since_rest(down) >= WARM_UP) & ~down
+        measured = states[counted][:RADIUS_CYCLES, :-1].reshape(-1, dynamics.nx)
+        far = [np.linalg.norm(dynamics.surface(x) - x[:3], axis=1).max() for x in measured]
+        return chain[counted], states[counted][:, [0, -1]], float(max(far, default=0.0))
 
-    starts, ends, radius = [], [], 0.0
+    found, starts, ends, radius = [], [], [], 0.0
     pool = ThreadPoolExecutor(min(threads.available_cores(), 2))
     try:
-        for done, (states, farthest) in enumerate(pool.map(run, chains)):
-            starts.append(states[:-1])
-            ends.append(states[1:])
+        for done, (counted, states, farthest) in enumerate(pool.map(run, chains)):
+            found.append(counted)
+            starts.append(states[:, 0])
+            ends.append(states[:, 1])
             radius = max(radius, farthest)
             progress("switching tasks at random", (done + 1) / len(chains))
     finally:
         pool.shutdown(cancel_futures=True)
-    return tasks, np.concatenate(starts), np.concatenate(ends), radius
+    return np.concatenate(found), np.concatenate(starts), np.concatenate(ends), radius
 
 
 def _angle(rotations: np.ndarray) -> np.ndarray:
