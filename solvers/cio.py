@@ -82,7 +82,7 @@ class Cio:
     stages: tuple[Stage, ...]
     joint: bool = True
     kind: str = "gait"
-    patterns: tuple[str, ...] = ("trot", "walk")
+    patterns: tuple[str, ...] = ("trot",)
     cycles: int = 3
     judged: int = 6
     fit_iterations: int = 60
@@ -295,5 +295,5 @@ POLISHED = Cio(
     "cio-shooting",
     "cio, then single shooting from there through the implicit contact",
     JOINT_STAGES,
-    polish=shooting.Shooting(name="cio-shooting"),
+    polish=shooting.Shooting(name="cio-shooting", walk_rounds=((3, 16, 20),)),
 )
