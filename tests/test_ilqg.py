@@ -212,6 +212,34 @@ def test_a_decision_does_not_depend_on_place_and_heading(dynamics, gait, feedbac
     np.testing.assert_allclose(shapes[0], shapes[1], atol=1e-4)
 
 
+def test_in_space_a_decision_does_not_depend_on_any_attitude(dynamics, gait):
+    free = replace(dynamics.body.medium, righting_height=0.0)
+    weightless = ReducedDynamics(replace(dynamics.body, medium=free), gait.timestep)
+    feedback = Ilqg(weightless, gait, "spatial")
+    assert max(orbit.residual for orbit in feedback.orbits) < 1e-9
+    x = pushed(feedback, 3)
+    attitude = np.array([0.3, -0.5, 0.7, 0.4])
+    frame = tangent.Frame(np.array([3.0, -2.0, 1.0]), attitude / np.linalg.norm(attitude))
+    runs = []
+    for start in (x, frame.outside(x)):
+        feedback.reset()
+        runs.append(drive(weightless, feedback, [1, 2], 11, start))
+    np.testing.assert_allclose(runs[0][1], runs[1][1], atol=1e-4)
+    # and it turns a body that was struck on its way back into its course
+    orbit, off = feedback.orbits[1], []
+    spin = np.zeros(22)
+    spin[14:17] = 1.0, -1.0, 1.0
+    for one in (OpenLoop(gait), feedback):
+        one.reset()
+        end = drive(
+            weightless, one, [1] * 4, 11, orbit.states[0],
+            lambda i, x: tangent.retract(x, spin) if i == 5 else x,
+        )[0][-1]  # fmt: skip
+        wanted = orbit.unrolled(44)[-1]
+        off.append(np.linalg.norm(tangent.difference(end, wanted)[3:6]))
+    assert off[1] < 0.3 * off[0]
+
+
 def switched(dynamics, gait, feedback, cycles=25):
     """Play gaits at random while the fish is pushed once a cycle."""
     rng = np.random.default_rng(0)
