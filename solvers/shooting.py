@@ -74,7 +74,7 @@ class Shooting:
     rounds: tuple[tuple[int, int], ...] = ((25, 2), (50, 1), (175, 1))
     walk_starts: int = 3
     walks: tuple[tuple[int, int], ...] = ((3, 25), (5, 15), (8, 20))
-    walk_rounds: tuple[tuple[int, int, int], ...] = ((3, 12, 15), (6, 8, 25))
+    walk_rounds: tuple[tuple[int, int, int], ...] = ((3, 12, 15), (6, 8, 20), (8, 8, 20))
     bound: float = 4.0
     threads: int = 2
 

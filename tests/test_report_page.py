@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -219,6 +220,23 @@ def test_figures_of_the_run_are_in_the_page(page):
     assert "novel, with shield" in success and "91–97%" in success
     assert "novel, without shield" in success and "90%" in success
     assert "0.410 ± 0.010" in page.text["gaits"] and "3 of 200 cycles tilt" in page.text["gaits"]
+
+
+def test_how_a_walker_puts_its_feet_is_in_the_page(page, run, tmp_path):
+    assert "soles" not in page.text["gaits"]
+    folder = shutil.copytree(run, tmp_path / "walk")
+    data = json.loads((folder / "gait.json").read_text(encoding="utf-8"))
+    data["gait"]["footing"] = {
+        "slip_share": 0.31,
+        "penetration_share": 0.0042,
+        "torso_clearance_m": 0.125,
+        "belly_load": 0.062,
+    }
+    (folder / "gait.json").write_text(json.dumps(data), encoding="utf-8")
+    text = " ".join(Page(write_report(folder)).text["gaits"].split())
+    assert "of the way walked 31%" in text and "body's height 0.42%" in text
+    assert "at least 0.125 m" in text and "not on the soles 6.2%" in text
+    assert "or sink below 60% of the standing height or go" in text
 
 
 def test_gait_solvers_stand_side_by_side(page):

