@@ -35,7 +35,9 @@ DOMAINS = {
     "quadruped": {"swim", "navigate3d", "walk", "navigate"},
     "tee": {"walk", "navigate"},
 }
-PACKAGED = [names for names in KWARGS if names[0] == "fish" or names[1] in ("swim", "navigate3d")]
+PACKAGED = [
+    names for names in KWARGS if names[0] in ("fish", "tee") or names[1] in ("walk", "navigate")
+]
 TASKS = [pytest.param(*names, id="-".join(names)) for names in KWARGS]
 BENCHMARKS = [names for names in KWARGS if names[1] in ("swim", "walk")]
 OBJECTS = {
