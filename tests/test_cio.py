@@ -152,7 +152,7 @@ def test_a_body_thrown_up_flies_freely_and_lands_on_its_impulse():
     walk = Walk(states, forces, 0 * walk.shapes, 0 * walk.w)
     for physics, contact in ((0.3, 0.3), (1.0, 3.0), (3.0, 10.0), (30.0, 10.0)):
         weights = Weights(physics, contact, dmp=0.01)
-        walk, _ = optimised.minimise(walk, weights, 40, np.full(1, 1e-2))
+        walk, _ = optimised.minimise(walk, weights, 100, np.full(1, 1e-2))
     vertical = walk.forces[0].reshape(steps, 4, 3)[..., 2].sum(1)
     speed, height = walk.states[0, :, 7 + 12 + 2], walk.states[0, :, 2]
     time = h * np.arange(steps + 1)
