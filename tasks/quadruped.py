@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from dm_control.utils import containers
 
-from defplan_mj.body.model import Material, Medium
+from defplan_mj.body.model import Medium
 from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec, Weights
 from defplan_tasks import swimming, walking
 from defplan_tasks.painting import blend, rise, to_picture
@@ -61,39 +61,17 @@ SWIM = TaskSpec(
     },
 )
 
-WALK = TaskSpec(
-    name="quadruped-walk",
-    description="a 4-legged body walks to targets among upright cylinders, without turning",
-    mesh=swimming.ASSETS / "quadruped.obj",
-    body=BodyOptions(
-        vertices=1054,
-        modes=10,
-        basis=31,
-        samples=16,
-        amplitude=1.0,
-        length=1.0,
-        material=Material(youngs_modulus=1e6),
-        medium=walking.AIR,
-    ),
-    timestep=0.03,
-    steps_per_cycle=23,
-    gait_tasks=walking.walking_tasks(),
-    gait_steps=200,
-    weights=walking.WEIGHTS,
-    terrain=walking.GROUND,
-    navigation=Navigation(),
-    # Tables I to III; hours are the paper's own.
+WALK = walking.walk_spec(
+    "quadruped-walk",
+    "a 4-legged body walks to targets among upright cylinders, without turning",
+    mesh="quadruped.obj",
+    vertices=1054,
     paper={
-        "vertices": 1054,
-        "dof": 16,
         "full_step_s": 2.1,
         "reduced_step_s": 0.11,
         "gait_h": 2.5,
         "dql_h": 3.3,
         "cnn_h": 1.51,
-        "k2": 10,
-        "k2_success": 1.0,
-        "tasks": ("forward", "back", "left", "right"),
         "rotation_mean": (0.083, 0.132, 0.071, 0.129),
         "rotation_sd": (0.104, 0.107, 0.107, 0.105),
         "translation_mean": (1.963, 0.67, 0.93, 1.64),

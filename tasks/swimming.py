@@ -35,10 +35,27 @@ def swim_environment(
     environment_kwargs: dict | None = None,
 ) -> control.Environment:
     """Return the task `Swim`: the action is the target shape, in [-1, 1] of the body's amplitude."""
-    model = build_spec(body, spec.timestep, space=spec.navigation.space, texture=texture_of(body))
+    return shape_environment(spec, body, Swim(random=random), time_limit, environment_kwargs)
+
+
+def shape_environment(
+    spec: TaskSpec,
+    body: Body,
+    task: base.Task,
+    time_limit: float,
+    environment_kwargs: dict | None,
+) -> control.Environment:
+    """Return `task` as an environment whose action is the target shape, one a time step."""
+    model = build_spec(
+        body,
+        spec.timestep,
+        space=spec.navigation.space,
+        terrain=spec.terrain,
+        texture=texture_of(body),
+    )
     return control.Environment(
         Physics.from_mjmodel(compile_model(model)),
-        Swim(random=random),
+        task,
         control_timestep=spec.timestep,
         time_limit=time_limit,
         **(environment_kwargs or {}),

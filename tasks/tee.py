@@ -8,44 +8,20 @@ from __future__ import annotations
 import numpy as np
 from dm_control.utils import containers
 
-from defplan_mj.body.model import Material
-from defplan_mj.task import BodyOptions, Navigation, TaskSpec
 from defplan_tasks import swimming, walking
 from defplan_tasks.painting import blend, rise, to_picture
 
-WALK = TaskSpec(
-    name="tee-walk",
-    description="a T-shaped body walks on its bar's two ends to targets among upright cylinders",
-    mesh=swimming.ASSETS / "tee.obj",
-    body=BodyOptions(
-        vertices=3121,
-        modes=10,
-        basis=31,
-        samples=16,
-        amplitude=1.0,
-        length=1.0,
-        material=Material(youngs_modulus=1e6),
-        medium=walking.AIR,
-    ),
-    timestep=0.03,
-    steps_per_cycle=23,
-    gait_tasks=walking.walking_tasks(),
-    gait_steps=200,
-    weights=walking.WEIGHTS,
-    terrain=walking.GROUND,
-    navigation=Navigation(),
-    # Tables I to III; hours are the paper's own.
+WALK = walking.walk_spec(
+    "tee-walk",
+    "a T-shaped body walks on its bar's two ends to targets among upright cylinders",
+    mesh="tee.obj",
+    vertices=3121,
     paper={
-        "vertices": 3121,
-        "dof": 16,
         "full_step_s": 2.2,
         "reduced_step_s": 0.13,
         "gait_h": 3.2,
         "dql_h": 3.3,
         "cnn_h": 1.2,
-        "k2": 10,
-        "k2_success": 1.0,
-        "tasks": ("forward", "back", "left", "right"),
         "rotation_mean": (0.009, 0.012, 0.001, 0.02),
         "rotation_sd": (0.0, 0.0, 0.03, 0.001),
         "translation_mean": (0.672, 0.643, 0.522, 0.541),

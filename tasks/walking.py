@@ -6,13 +6,11 @@ import mujoco
 import numpy as np
 from dm_control.rl import control
 
-from defplan_mj.body.model import Body, Medium
+from defplan_mj.body.model import Body, Material, Medium
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.host.physics import Physics
-from defplan_mj.host.scene import build_spec, compile_model
-from defplan_mj.host.skin import texture_of
-from defplan_mj.task import GaitTask, TaskSpec, Weights
+from defplan_mj.task import BodyOptions, GaitTask, TaskSpec, Weights
 from defplan_tasks import swimming
 
 AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
@@ -32,6 +30,45 @@ def walking_tasks(advance: float = ADVANCE) -> tuple[GaitTask, ...]:
     )
 
 
+def walk_spec(name: str, description: str, mesh: str, vertices: int, paper: dict) -> TaskSpec:
+    """Return the task of a walker: all but its body's shape and the paper's figures is shared.
+
+    Args:
+        mesh: file among the assets.
+        vertices: wanted number of tetrahedral mesh vertices.
+        paper: Tables I to III; hours are the paper's own.
+    """
+    return TaskSpec(
+        name=name,
+        description=description,
+        mesh=swimming.ASSETS / mesh,
+        body=BodyOptions(
+            vertices=vertices,
+            modes=10,
+            basis=31,
+            samples=16,
+            amplitude=1.0,
+            length=1.0,
+            material=Material(youngs_modulus=1e6),
+            medium=AIR,
+        ),
+        timestep=0.03,
+        steps_per_cycle=23,
+        gait_tasks=walking_tasks(),
+        gait_steps=200,
+        weights=WEIGHTS,
+        terrain=GROUND,
+        paper={
+            "dof": 16,
+            "k2": 10,
+            "k2_success": 1.0,
+            "tasks": ("forward", "back", "left", "right"),
+            "vertices": vertices,
+            **paper,
+        },
+    )
+
+
 def walk_environment(
     spec: TaskSpec,
     body: Body,
@@ -40,15 +77,9 @@ def walk_environment(
     environment_kwargs: dict | None = None,
 ) -> control.Environment:
     """Return the task `Walk`: the action is the target shape, in [-1, 1] of the body's amplitude."""
-    model = build_spec(body, spec.timestep, terrain=spec.terrain, texture=texture_of(body))
     rest = ReducedDynamics(body, spec.timestep, spec.terrain).rest_state()
-    return control.Environment(
-        Physics.from_mjmodel(compile_model(model)),
-        Walk(rest, random=random),
-        control_timestep=spec.timestep,
-        time_limit=time_limit,
-        **(environment_kwargs or {}),
-    )
+    task = Walk(rest, random=random)
+    return swimming.shape_environment(spec, body, task, time_limit, environment_kwargs)
 
 
 class Walk(swimming.Swim):
