@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,15 @@ EVERY_FORCE = Medium(drag_tangential=0.3, gravity=-1.3, righting_height=0.05)
 def in_medium(body: Body, medium: Medium, material: Material | None = None) -> Body:
     """Return the same body elsewhere."""
     return replace(body, medium=medium, material=material or body.material)
+
+
+def central_differences(
+    function: Callable[[np.ndarray], np.ndarray], at: np.ndarray, eps: float
+) -> np.ndarray:
+    """Return the Jacobian (..., n) of a function of (n,) numbers."""
+    return np.stack(
+        [(function(at + eps * e) - function(at - eps * e)) / (2 * eps) for e in np.eye(len(at))], -1
+    )
 
 
 def synthetic_body(

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from casadi_twin import CasadiTwin
-from kernel_cases import EVERY_FORCE, VACUUM, in_medium, random_state, synthetic_body
+from kernel_cases import (
+    EVERY_FORCE,
+    VACUUM,
+    central_differences,
+    in_medium,
+    random_state,
+    synthetic_body,
+)
 
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
@@ -97,24 +104,16 @@ def test_derivatives_equal_finite_differences(small_fish, medium):
             (a, x, lambda value, u=u: dynamics.step(value, u)),
             (b, u, lambda value, x=x: dynamics.step(x, value)),
         ):
-            columns = [
-                (step(at + eps * unit) - step(at - eps * unit)) / (2 * eps)
-                for unit in np.eye(len(at))
-            ]
-            assert_close(jacobian, np.array(columns).T, 1e-6)
+            assert_close(jacobian, central_differences(step, at, eps), 1e-6)
 
 
 def test_derivatives_at_rest_equal_finite_differences(small_fish):
     dynamics = ReducedDynamics(small_fish, tolerance=1e-10)
     x, u = dynamics.rest_state(), np.zeros(dynamics.nu)
     a, _ = dynamics.step_jacobian(x, u, dynamics.step(x, u))
-    eps = 1e-6
-    columns = [
-        (dynamics.step(x + eps * unit, u) - dynamics.step(x - eps * unit, u)) / (2 * eps)
-        for unit in np.eye(len(x))
-    ]
     # across zero speed the drag's second derivative has a kink: first order only
-    np.testing.assert_allclose(a, np.array(columns).T, atol=1e-4 * np.abs(a).max())
+    wanted = central_differences(lambda value: dynamics.step(value, u), x, 1e-6)
+    np.testing.assert_allclose(a, wanted, atol=1e-4 * np.abs(a).max())
 
 
 def test_adjoint_is_the_transposed_jacobian(dynamics):
