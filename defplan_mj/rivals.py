@@ -107,8 +107,9 @@ def measure(problem: GaitProblem, gait: Gait, seconds: float) -> dict[str, Any]:
 
     Returns:
         'seconds', 'objective' (as the solver has it), 'resimulated' (E_obj by rollouts, over task
-        sequences of our own), and while switching: 'advance_m' a cycle of the task that is to go
-        farthest, 'turn_rad' (mean of the tasks that are to turn, None without one), 'cycles', 'falls'.
+        sequences of our own), and while switching: 'advance_m' a cycle (mean of the tasks that are to
+        go farthest), 'turn_rad' (mean of those that are to turn, None without one), 'slip_share' of a
+        walker (see `footing.footing`, else None), 'cycles', 'falls'.
     """
     from defplan_mj.gait.switching import evaluate_switching
 
@@ -116,7 +117,12 @@ def measure(problem: GaitProblem, gait: Gait, seconds: float) -> dict[str, Any]:
     cost = problem.objective(sequences)(w=problem.w_of(gait))["cost"]
     switched = evaluate_switching(problem, gait, SWITCHING_CYCLES, seed=0)
     rows = switched.rows()
-    farthest = max(range(len(rows)), key=lambda j: problem.tasks[j].advance)
+    farthest = max(task.advance for task in problem.tasks)
+    advances = [
+        row["advance_m"]
+        for row, task in zip(rows, problem.tasks, strict=True)
+        if task.advance == farthest and np.isfinite(row["advance_m"])
+    ]
     turns = [
         abs(row["turn_rad"])
         for row, task in zip(rows, problem.tasks, strict=True)
@@ -126,8 +132,9 @@ def measure(problem: GaitProblem, gait: Gait, seconds: float) -> dict[str, Any]:
         "seconds": gait.meta.get("seconds", seconds),
         "objective": gait.meta.get("objective"),
         "resimulated": float(cost),
-        "advance_m": rows[farthest]["advance_m"],
+        "advance_m": float(np.mean(advances)) if advances else None,
         "turn_rad": float(np.mean(turns)) if turns else None,
+        "slip_share": switched.footing.get("slip_share"),
         "cycles": SWITCHING_CYCLES,
         "falls": switched.falls,
     }

@@ -6,13 +6,13 @@ import numpy as np
 from dm_control.utils import containers
 
 from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec, Weights
-from defplan_tasks import swimming
+from defplan_tasks import environments, swimming
 from defplan_tasks.painting import blend, rise, to_picture
 
 SWIM = TaskSpec(
     name="fish-swim",
     description="a fish swims to targets among upright cylinders (the paper's first example)",
-    mesh=swimming.ASSETS / "fish.obj",
+    mesh=environments.ASSETS / "fish.obj",
     body=BodyOptions(vertices=2118, modes=5, basis=31, samples=8, amplitude=2.0, length=1.0),
     timestep=0.04,
     steps_per_cycle=11,
@@ -54,7 +54,9 @@ def swim(body=None, **kwargs):
         body: by default the packaged one.
         kwargs: of `swimming.swim_environment`.
     """
-    return swimming.swim_environment(SWIM, body or swimming.packaged_body("fish_body"), **kwargs)
+    return swimming.swim_environment(
+        SWIM, body or environments.packaged_body("fish_body"), **kwargs
+    )
 
 
 @SUITE.add("no_reward_visualization")
@@ -63,11 +65,11 @@ def navigate(body=None, gait=None, **kwargs):
 
     Args:
         body, gait: what swims, and how; by default the packaged ones.
-        kwargs: of `swimming.navigate_environment`.
+        kwargs: of `environments.navigate_environment`.
     """
-    body = body or swimming.packaged_body("fish_body")
-    gait = gait or swimming.packaged_gait("fish_gait")
-    return swimming.navigate_environment(SWIM, body, gait, **kwargs)
+    body = body or environments.packaged_body("fish_body")
+    gait = gait or environments.packaged_gait("fish_gait")
+    return environments.navigate_environment(SWIM, body, gait, **kwargs)
 
 
 def skin_texture(height: int = 256, width: int = 768) -> np.ndarray:

@@ -7,7 +7,7 @@ from dm_control.utils import containers
 
 from defplan_mj.body.model import Medium
 from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec, Weights
-from defplan_tasks import swimming, walking
+from defplan_tasks import environments, swimming, walking
 from defplan_tasks.painting import blend, rise, to_picture
 
 TURN, ADVANCE = 0.45, 0.55  # wanted of a cycle: rad, m
@@ -15,7 +15,7 @@ TURN, ADVANCE = 0.45, 0.55  # wanted of a cycle: rad, m
 SWIM = TaskSpec(
     name="quadruped-swim",
     description="a 4-legged body swims like a jellyfish to targets among spheres, in three dimensions",
-    mesh=swimming.ASSETS / "quadruped.obj",
+    mesh=environments.ASSETS / "quadruped.obj",
     # Drag on the legs is what it swims by: with 64 patches a gait goes 30% farther than in the full
     # model, with 192 15%. Nothing rights it: all attitudes are alike.
     body=BodyOptions(
@@ -90,7 +90,7 @@ def swim(body=None, **kwargs):
         body: by default the packaged one.
         kwargs: of `swimming.swim_environment`.
     """
-    body = body or swimming.packaged_body("quadruped_body")
+    body = body or environments.packaged_body("quadruped_body")
     return swimming.swim_environment(SWIM, body, **kwargs)
 
 
@@ -100,11 +100,11 @@ def navigate3d(body=None, gait=None, **kwargs):
 
     Args:
         body, gait: by default the packaged ones.
-        kwargs: of `swimming.navigate_environment`.
+        kwargs: of `environments.navigate_environment`.
     """
-    body = body or swimming.packaged_body("quadruped_body")
-    gait = gait or swimming.packaged_gait("quadruped_gait")
-    return swimming.navigate_environment(SWIM, body, gait, **kwargs)
+    body = body or environments.packaged_body("quadruped_body")
+    gait = gait or environments.packaged_gait("quadruped_gait")
+    return environments.navigate_environment(SWIM, body, gait, **kwargs)
 
 
 @SUITE.add("benchmarking")
@@ -115,7 +115,7 @@ def walk(body=None, **kwargs):
         body: by default the packaged one.
         kwargs: of `walking.walk_environment`.
     """
-    body = body or swimming.packaged_body("quadruped_walker_body")
+    body = body or environments.packaged_body("quadruped_walker_body")
     return walking.walk_environment(WALK, body, **kwargs)
 
 
@@ -125,11 +125,11 @@ def navigate(body=None, gait=None, **kwargs):
 
     Args:
         body, gait: what walks, and how; by default the packaged ones.
-        kwargs: of `swimming.navigate_environment`.
+        kwargs: of `environments.navigate_environment`.
     """
-    body = body or swimming.packaged_body("quadruped_walker_body")
-    gait = gait or swimming.packaged_gait("quadruped_walker_gait")
-    return swimming.navigate_environment(WALK, body, gait, **kwargs)
+    body = body or environments.packaged_body("quadruped_walker_body")
+    gait = gait or environments.packaged_gait("quadruped_walker_gait")
+    return environments.navigate_environment(WALK, body, gait, **kwargs)
 
 
 def skin_texture(height: int = 384, width: int = 384) -> np.ndarray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from dm_control.utils import containers
 
-from defplan_tasks import swimming, walking
+from defplan_tasks import environments, walking
 from defplan_tasks.painting import blend, rise, to_picture
 
 WALK = walking.walk_spec(
@@ -40,7 +40,7 @@ def walk(body=None, **kwargs):
         body: by default the packaged one.
         kwargs: of `walking.walk_environment`.
     """
-    return walking.walk_environment(WALK, body or swimming.packaged_body("tee_body"), **kwargs)
+    return walking.walk_environment(WALK, body or environments.packaged_body("tee_body"), **kwargs)
 
 
 @SUITE.add("no_reward_visualization")
@@ -49,11 +49,11 @@ def navigate(body=None, gait=None, **kwargs):
 
     Args:
         body, gait: what walks, and how; by default the packaged ones.
-        kwargs: of `swimming.navigate_environment`.
+        kwargs: of `environments.navigate_environment`.
     """
-    body = body or swimming.packaged_body("tee_body")
-    gait = gait or swimming.packaged_gait("tee_gait")
-    return swimming.navigate_environment(WALK, body, gait, **kwargs)
+    body = body or environments.packaged_body("tee_body")
+    gait = gait or environments.packaged_gait("tee_gait")
+    return environments.navigate_environment(WALK, body, gait, **kwargs)
 
 
 def skin_texture(height: int = 256, width: int = 256) -> np.ndarray:

@@ -10,8 +10,9 @@ from defplan_mj.body.model import Body, Material, Medium
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.host.physics import Physics
+from defplan_mj.host.scene import TARGET
 from defplan_mj.task import BodyOptions, GaitTask, TaskSpec, Weights
-from defplan_tasks import swimming
+from defplan_tasks import environments, swimming
 
 AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
 GROUND = Terrain(slip_speed=0.03)
@@ -41,7 +42,7 @@ def walk_spec(name: str, description: str, mesh: str, vertices: int, paper: dict
     return TaskSpec(
         name=name,
         description=description,
-        mesh=swimming.ASSETS / mesh,
+        mesh=environments.ASSETS / mesh,
         body=BodyOptions(
             vertices=vertices,
             modes=10,
@@ -79,7 +80,7 @@ def walk_environment(
     """Return the task `Walk`: the action is the target shape, in [-1, 1] of the body's amplitude."""
     rest = ReducedDynamics(body, spec.timestep, spec.terrain).rest_state()
     task = Walk(rest, random=random)
-    return swimming.shape_environment(spec, body, task, time_limit, environment_kwargs)
+    return environments.shape_environment(spec, body, task, time_limit, environment_kwargs)
 
 
 class Walk(swimming.Swim):
@@ -96,7 +97,7 @@ class Walk(swimming.Swim):
         """Draw target, heading and a slightly bent shape; the robot stands on the ground."""
         super().initialize_episode(physics)
         r, rest = physics.n_modes, self._rest
-        physics.named.model.site_pos[swimming.TARGET, "z"] = rest[2]
+        physics.named.model.site_pos[TARGET, "z"] = rest[2]
         yaw = self.random.uniform(-np.pi, np.pi)
         heading = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
         qpos = physics.data.qpos

@@ -24,7 +24,7 @@ from defplan_solvers.cio_model import pads, walker_of
 from defplan_solvers.cio_newton import ContactInvariant, Walk
 from defplan_solvers.cio_start import PATTERNS, foot_forces, starts
 from defplan_solvers.cio_terms import Weights
-from defplan_tasks.swimming import ASSETS
+from defplan_tasks.environments import ASSETS
 
 GRAVITY = 9.81
 DIRECTIONS = ((0.15, 0, 0), (0, 0.15, 0))

@@ -19,7 +19,7 @@ from defplan_mj.planning.evaluation import (
 )
 from defplan_mj.planning.fit import fit_surrogate
 from defplan_mj.task import Navigation
-from defplan_tasks.swimming import ASSETS
+from defplan_tasks.environments import ASSETS
 
 NAVIGATION = Navigation()
 MEASURED = ("wall", "decision")

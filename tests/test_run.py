@@ -252,7 +252,7 @@ def test_rival_gait_solvers_are_measured_like_the_chosen_one(setting, short_repo
     ]  # fmt: skip
     assert made[0] == 2  # its gait of the run's own seed is the run's
     for row in rows[1:4]:  # the same gait: the same figures
-        for name in ("resimulated", "advance_m", "turn_rad", "cycles", "falls"):
+        for name in ("resimulated", "advance_m", "turn_rad", "slip_share", "cycles", "falls"):
             assert row[name] == rows[0][name]
     assert np.isfinite(rows[0]["resimulated"]) and rows[0]["cycles"] == 200
     assert rows[0]["turn_rad"] > 0

@@ -13,8 +13,8 @@ from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import evaluate_switching
 from defplan_solvers.shooting import SOLVER, Shooting
 from defplan_tasks import quadruped
+from defplan_tasks.environments import ASSETS
 from defplan_tasks.fish import SWIM
-from defplan_tasks.swimming import ASSETS
 
 QUICK = Shooting(starts=2, start_iterations=15, rounds=((8, 1), (30, 1)))
 TASKS = SWIM.gait_tasks[:2]

@@ -15,7 +15,7 @@ from mujoco import rollout
 
 from defplan_mj import suite
 from defplan_mj.errors import DefplanError
-from defplan_tasks import swimming
+from defplan_tasks import environments
 
 KWARGS = {
     ("fish", "swim"): lambda: {"body": samples.fish()},
@@ -99,7 +99,7 @@ def test_packaged_body_and_gait_load(domain, task):
 
 @pytest.mark.parametrize(("domain", "task"), TASKS)
 def test_missing_packaged_file_is_one_sentence(domain, task, monkeypatch, tmp_path):
-    monkeypatch.setattr(swimming, "ASSETS", tmp_path)
+    monkeypatch.setattr(environments, "ASSETS", tmp_path)
     with pytest.raises(
         DefplanError, match=rf"{domain}\w*_body.npz is missing: reinstall defplan, or"
     ):

@@ -193,9 +193,9 @@ def _gait_tables(material: Material) -> list[Block]:
         caption = (
             f"The gait solvers on the same problem{many}. What a solver claims counts for nothing "
             "until its gaits are simulated again, step by step: the objective then; while gaits are "
-            "switched at random, the advance a cycle of the gait that is to go farthest, the turn a "
-            "cycle of those that are to turn, and the cycles that are lost as said above, "
-            "with their 95% interval (Wilson's)."
+            "switched at random, the advance a cycle of the gaits that are to go farthest, the turn "
+            "a cycle of those that are to turn, what loaded feet slide per metre walked, and the "
+            "cycles that are lost as said above, with their 95% interval (Wilson's)."
         )
         blocks.append(Table(SOLVER_COLUMNS, solvers, caption))
         failed = [solver for solver in material.solvers if "error" in solver]
@@ -212,6 +212,7 @@ SOLVER_COLUMNS = (
     "seconds",
     "advance (m)",
     "turn (rad)",
+    "slip (m/m)",
     "lost cycles",
 )
 
@@ -236,6 +237,7 @@ def solver_rows(solvers: Sequence[dict[str, Any]]) -> list[list[str]]:
                 _over_seeds(mine, "seconds", 1),
                 _over_seeds(mine, "advance_m"),
                 _over_seeds(mine, "turn_rad"),
+                _over_seeds(mine, "slip_share", 2),
                 lost,
             ]
         )
