@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from defplan_mj.dynamics.terrain import Terrain, TerrainGeom, pack_terrain
 from defplan_mj.errors import DefplanError
 from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
-from defplan_mj.gait.switching import MAX_TILT, heading, tilt, wrap
+from defplan_mj.gait.switching import MAX_TILT, MIN_HEIGHT, heading, tilt, wrap
 from defplan_mj.planning.evaluation import wilson_interval
 from defplan_mj.task import Progress, no_progress
 
@@ -69,17 +70,20 @@ class Walk:
 
     Attributes:
         task: (cycles,) gait of each.
-        fell: (cycles,) whether the body tilted past 30 degrees, or the simulation failed; it is
-            then put on its feet where it was and the next cycle begins.
+        fell: (cycles,) whether the body tilted past 30 degrees, a walker sank below 60% of its height at
+            rest, or the simulation failed; it is then put on its feet where it was and the next cycle
+            begins.
         counted: (cycles,) whether the cycle's motion counts: not after a fall or a start.
         motion: (cycles, 3) displacement ahead and to the left, in the yaw frame at the cycle's
             start, m, and change of heading, rad.
+        decision: processor time of the feedback, mean of a step, s.
     """
 
     task: np.ndarray
     fell: np.ndarray
     counted: np.ndarray
     motion: np.ndarray
+    decision: float = 0.0
 
     def means(self, tasks: int) -> np.ndarray:
         """Return (tasks, 3): the mean motion of each gait's cycles that count; NaN if there are none."""
@@ -158,7 +162,8 @@ def walk(
     rest = dynamics.rest_state()
     half = 0.5 * condition.slope if dynamics.terrain is not None else 0.0
     ground = Frame(np.zeros(3), np.array([np.cos(half), 0.0, -np.sin(half), 0.0]))
-    x, since = rest, 0
+    lowest = -np.inf if dynamics.terrain is None else MIN_HEIGHT * rest[2]
+    x, since, busy, steps = rest, 0, 0.0, 0
     fell, counted, motion = np.zeros(cycles, bool), np.zeros(cycles, bool), np.zeros((cycles, 3))
     feedback.reset()
     for cycle in range(cycles):
@@ -168,11 +173,13 @@ def walk(
                 angle = push_angle[cycle]
                 x = x.copy()
                 x[velocity] += condition.push * np.array([np.cos(angle), np.sin(angle)])
-            told = ground.inside(x)
+            told, began = ground.inside(x), time.thread_time()
             if i == 0:
                 feedback.begin(int(task[cycle]), told)
-            x, info = real.step_info(x, feedback.shape(told))
-            if info.failed or tilt(x) > MAX_TILT:
+            shape = feedback.shape(told)
+            busy, steps = busy + time.thread_time() - began, steps + 1
+            x, info = real.step_info(x, shape)
+            if info.failed or tilt(x) > MAX_TILT or ground.inside(x)[2] < lowest:
                 fell[cycle] = True
                 break
         if fell[cycle]:
@@ -184,7 +191,7 @@ def walk(
             motion[cycle] = *moved[:2], heading(moved)
             counted[cycle] = since >= SETTLE
             since += 1
-    return Walk(task, fell, counted, motion)
+    return Walk(task, fell, counted, motion, busy / steps)
 
 
 def measure(
@@ -200,7 +207,8 @@ def measure(
 
     'condition', 'feedback'; 'cycles', 'falls', 'rate' and its 95% 'interval' (Wilson); 'place_m' and
     'turn_rad', root mean square of what a cycle is off from the mean cycle of the same gait and feedback in
-    the calm condition; 'way_m', the mean displacement of a cycle. None: no cycle counts.
+    the calm condition; 'way_m', the mean displacement of a cycle. None: no cycle counts. 'decision_ms':
+    processor time of a step's feedback.
     """
     from joblib import Parallel, delayed, parallel_config
 
@@ -226,6 +234,7 @@ def measure(
             "place_m": place,
             "turn_rad": turn,
             "way_m": float(way.mean()) if len(way) else None,
+            "decision_ms": 1e3 * one.decision,
         }
         rows.append({k: None if v != v else v for k, v in row.items()})
     return rows

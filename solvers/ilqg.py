@@ -1,12 +1,13 @@
 """Feedback `ilqg`: iterative LQG around the DMP's output, over a short horizon (paper, section IV-A).
 
 Every step minimises E_obj + E_dmp over the next steps. E_dmp is what the target shapes are off from the DMP.
-E_obj is what the body is off from the gait's own orbit (`gait.orbit`), as told from a frame that goes where
-the gait would go: the wanted motion, upright, in the wanted direction. The orbit is what the gait does when
-nothing disturbs it, so both terms are zero there and an undisturbed body plays the DMP as it is.
+E_obj is what the body is off from the gait's mean cycle while tasks are switched (`gait.mean_cycle`), as
+told from a frame that goes where the gait would go: the wanted motion, upright, in the wanted direction.
+The mean cycle is what the gait does when nothing but switching disturbs it, so that both terms are small then
+and the body nearly plays the DMP as it is.
 
 Five steps see less than a quarter of a cycle: too little to know that a lean ends in a fall. So the last
-step is weighed with the cost of going on along the orbit for ever, from the periodic Riccati equation.
+step is weighed with the cost of going on along the cycle for ever, from the periodic Riccati equation.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from defplan_mj.dynamics import tangent
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
 from defplan_mj.gait.gait import Gait
-from defplan_mj.gait.orbit import Orbit, find_orbit, turn_tangent
-from defplan_solvers.ilqg_step import Cost, cost_to_go, optimise
+from defplan_mj.gait.mean_cycle import MeanCycle, mean_cycles, turn_tangent
+from defplan_solvers.ilqg_step import Cost, Guide, cost_to_go, optimise
 
 
 @dataclass(frozen=True)
@@ -61,9 +62,11 @@ class BodyModel:
     def __init__(self, dynamics: ReducedDynamics) -> None:
         self.dynamics = dynamics
 
-    def step(self, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:
-        """Return the next state (nx,); None if the solve failed."""
-        after, info = self.dynamics.step_info(x, u)
+    def step(
+        self, x: np.ndarray, u: np.ndarray, near: np.ndarray | None = None
+    ) -> np.ndarray | None:
+        """Return the next state (nx,), which may be guessed to be `near`; None if the solve failed."""
+        after, info = self.dynamics.step_info(x, u, near)
         return None if info.failed else after
 
     def jacobian(
@@ -83,6 +86,10 @@ class BodyModel:
         out = out.copy()
         out[..., 3:6, 3:6] = block
         return out
+
+    def changed(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the state (nx,) after the change `z` (n_z,)."""
+        return tangent.retract(x, z)
 
 
 @dataclass(frozen=True)
@@ -104,28 +111,26 @@ class Track:
     motion: Frame
 
 
-def make_track(orbit: Orbit, effort: np.ndarray, amplitude: np.ndarray, options: Options) -> Track:
-    """Return what to follow of an orbit.
+def make_track(
+    cycle: MeanCycle, effort: np.ndarray, amplitude: np.ndarray, options: Options
+) -> Track:
+    """Return what to follow of a task's mean cycle.
 
     Args:
         effort: (r,) weights of the controls.
         amplitude: (r,) of the gait.
     """
-    n, ahead = len(orbit.shapes), options.horizon
-    length = n + ahead + 1
-    states = orbit.unrolled(n + ahead)
+    n, ahead = len(cycle.shapes), options.horizon
+    states = cycle.unrolled(n + ahead)
     weights = np.array([state_weights(x, amplitude, options) for x in states])
-    if not options.terminal:
-        onward = weights
-    else:
-        turn = turn_tangent(orbit.motion.matrix.T, weights.shape[1])
-        values = cost_to_go(orbit.a, orbit.b, weights[:n], effort, turn)
-        onward, turns = np.empty_like(weights), np.eye(len(turn))
-        for i in range(length):
-            turns = turn @ turns if i and i % n == 0 else turns
-            onward[i] = turns.T @ values[i % n] @ turns
-    controls = orbit.shapes[np.arange(n + ahead) % n]
-    return Track(states, controls, weights, onward, orbit.motion)
+    onward = weights
+    if options.terminal:
+        turn = turn_tangent(cycle.motion.matrix.T, weights.shape[1])
+        values = cost_to_go(cycle.a, cycle.b, weights[:n], effort, turn)
+        turns = [np.linalg.matrix_power(turn, i // n) for i in range(len(states))]
+        onward = np.array([t.T @ values[i % n] @ t for i, t in enumerate(turns)])
+    controls = cycle.shapes[np.arange(n + ahead) % n]
+    return Track(states, controls, weights, onward, cycle.motion)
 
 
 def state_weights(x: np.ndarray, amplitude: np.ndarray, options: Options) -> np.ndarray:
@@ -144,7 +149,7 @@ def state_weights(x: np.ndarray, amplitude: np.ndarray, options: Options) -> np.
 
 
 class Ilqg:
-    """Follows the gait's orbits by iterative LQG.
+    """Follows the gait's mean cycles by iterative LQG.
 
     Attributes:
         tracks: (K) one a gait.
@@ -165,12 +170,9 @@ class Ilqg:
             options = replace(options, tilt=options.heading)
         self.model, self.options, self.bound = BodyModel(dynamics), options, gait.amplitude
         self.effort = options.effort / gait.amplitude**2
-        table = gait.table()
-        self.orbits = [
-            find_orbit(dynamics, shapes, level=self._level, depth=self._depth) for shapes in table
-        ]
+        self.cycles = mean_cycles(dynamics, gait, level=self._level, depth=self._depth)
         self.tracks = [
-            make_track(orbit, self.effort, gait.amplitude, options) for orbit in self.orbits
+            make_track(cycle, self.effort, gait.amplitude, options) for cycle in self.cycles
         ]
         self.reset()
 
@@ -179,6 +181,7 @@ class Ilqg:
         self.costs: tuple[float, ...] = ()
         self._track: Track | None = None
         self._frame: Frame | None = None
+        self._guide: Guide | None = None
         self._more = np.zeros((self.options.horizon, len(self.bound)))
         self._next = 0
 
@@ -193,6 +196,7 @@ class Ilqg:
             turned = here.quaternion + tangent.rotations(here.quaternion) @ (0.5 * error)
             here = Frame(here.position, turned / np.linalg.norm(turned))
         self._frame, self._track, self._next = here, self.tracks[task], 0
+        self._guide = None  # it is told from the old frame
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """Return the first target shape (r,) of the best plan from `x` over the horizon."""
@@ -206,11 +210,14 @@ class Ilqg:
         cost = Cost(track.states[i + 1 : i + 1 + ahead], weights, wanted, self.effort)
         start = wanted + self._more
         plan = optimise(
-            self.model, cost, self._frame.inside(x), start, self.bound, self.options.iterations
+            *(self.model, cost, self._frame.inside(x), start, self.bound),
+            self.options.iterations,
+            self._guide,
         )
         self.costs = plan.costs
         self._more[:-1] = (plan.controls - wanted)[1:]
         self._more[-1] = 0.0
+        self._guide = plan.guide
         return plan.controls[0]
 
 
@@ -222,11 +229,11 @@ class IlqgSolver:
     kind: ClassVar = "feedback"
     name: ClassVar = "ilqg"
     summary: ClassVar = (
-        "iterative LQG over 5 steps: follows the gait's orbit, near the DMP's output"
+        "iterative LQG over 5 steps: follows the gait's mean cycle, near the DMP's output"
     )
 
     def prepare(self, dynamics: ReducedDynamics, gait: Gait, space: str = "planar") -> Ilqg:
-        """Return the feedback of a gait: finds its orbits and their costs of going on."""
+        """Return the feedback of a gait: finds its mean cycles and their costs of going on."""
         return Ilqg(dynamics, gait, space, self.options)
 
 

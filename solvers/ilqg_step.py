@@ -21,8 +21,10 @@ _QP_ROUNDS = 30
 class Model(Protocol):
     """What is controlled. States may be of any kind; changes of them are vectors (n_z,)."""
 
-    def step(self, x: np.ndarray, u: np.ndarray) -> np.ndarray | None:
-        """Return the state after one step; None if it cannot be computed."""
+    def step(
+        self, x: np.ndarray, u: np.ndarray, near: np.ndarray | None = None
+    ) -> np.ndarray | None:
+        """Return the state after one step; None if it cannot be computed. `near` is a guess of it."""
 
     def jacobian(
         self, x: np.ndarray, u: np.ndarray, x_next: np.ndarray
@@ -34,6 +36,31 @@ class Model(Protocol):
 
     def difference_jacobian(self, x: np.ndarray, origin: np.ndarray) -> np.ndarray:
         """Return (..., n_z, n_z): the derivative of `difference` by a change of x."""
+
+    def changed(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the state after the change `z`; the inverse of `difference`."""
+
+
+@dataclass(frozen=True)
+class Guide:
+    """Steps that are known, with their derivatives: what steps nearby lead to is guessed from them.
+
+    Attributes:
+        before, after: (n, nx) the states of each step.
+        controls: (n, r).
+        a, b: (n, n_z, n_z), (n, n_z, r).
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    controls: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+
+    def guess(self, model: Model, i: int, off: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return about where step i leads from the change `off` (n_z,) of its state, under `u`."""
+        change = self.a[i] @ off + self.b[i] @ (u - self.controls[i])
+        return model.changed(self.after[i], change)
 
 
 @dataclass(frozen=True)
@@ -74,31 +101,40 @@ class Plan:
         controls: (N, r).
         gains: (N, r, n_z) of the last backward pass.
         costs: before the first iteration and after each.
+        guide: for the plan from the next step on.
     """
 
     states: np.ndarray
     controls: np.ndarray
     gains: np.ndarray
     costs: tuple[float, ...]
+    guide: Guide | None = None
 
 
 def optimise(
-    model: Model, cost: Cost, x0: np.ndarray, start: np.ndarray, bound: np.ndarray, iterations: int
+    model: Model,
+    cost: Cost,
+    x0: np.ndarray,
+    start: np.ndarray,
+    bound: np.ndarray,
+    iterations: int,
+    guide: Guide | None = None,
 ) -> Plan:
     """Return the controls in [-bound, bound] that keep the cost low from `x0` on.
 
     Args:
         start: (N, r) controls to begin with; clipped to the bound.
         bound: (r,).
-        iterations: how many; none of them raises the cost.
+        iterations: how many, at least one; none of them raises the cost.
+        guide: for the first steps of the first rollout; it saves time and changes nothing.
     """
     u = np.clip(start, -bound, bound)
-    none = np.zeros((len(u), u.shape[1], cost.weights.shape[1]))
-    x = _rolled(model, x0, x0[None].repeat(len(u) + 1, 0), u, u, none, 0.0, bound)
+    x = _rolled(model, x0, u, bound, guide)
     if x is None:  # not even the first controls can be followed: there is nothing to improve
+        none = np.zeros((len(u), u.shape[1], cost.weights.shape[1]))
         return Plan(x0[None].repeat(len(u) + 1, 0), u, none, (np.inf,))
     states, u = x
-    costs, gains, damping, moved = [cost.value(model, states[1:], u)], none, 0.0, True
+    costs, damping, moved = [cost.value(model, states[1:], u)], 0.0, True
     for _ in range(iterations):
         if moved:
             a, b = _linearised(model, states, u)
@@ -106,9 +142,9 @@ def optimise(
         change, gains = backward(
             (a, b), (gradients, hessians), u - cost.controls, cost.effort, (-bound - u, bound - u), damping
         )  # fmt: skip
-        moved = False
+        moved, about = False, Guide(states[:-1], states[1:], u, a, b)
         for share in STEPS:
-            tried = _rolled(model, x0, states, u, u + share * change, gains, share, bound)
+            tried = _rolled(model, x0, u + share * change, bound, about, gains)
             if tried is None:
                 continue
             value = cost.value(model, tried[0][1:], tried[1])
@@ -117,7 +153,8 @@ def optimise(
                 break
         costs.append(value if moved else costs[-1])
         damping = _next_damping(damping, moved)
-    return Plan(states, u, gains, tuple(costs))
+    guide = Guide(states[1:-1], states[2:], u[1:], a[1:], b[1:])
+    return Plan(states, u, gains, tuple(costs), guide)
 
 
 def _next_damping(damping: float, moved: bool) -> float:
@@ -135,21 +172,27 @@ def _linearised(model: Model, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray,
 def _rolled(
     model: Model,
     x0: np.ndarray,
-    about: np.ndarray,
-    u: np.ndarray,
     wanted: np.ndarray,
-    gains: np.ndarray,
-    share: float,
     bound: np.ndarray,
+    guide: Guide | None,
+    gains: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return states and controls of a rollout of `wanted` with feedback to `about`; None: it failed."""
-    states, controls = np.empty((len(u) + 1, len(x0))), np.empty_like(u)
+    """Return states and controls of a rollout of `wanted`; None: it failed.
+
+    Args:
+        guide: what the first steps' results are guessed from.
+        gains: (N, r, n_z) feedback to the guide's states before the steps.
+    """
+    states, controls = np.empty((len(wanted) + 1, len(x0))), np.empty_like(wanted)
     states[0] = x0
     for i, control in enumerate(wanted):
-        if share and i:
-            control = control + gains[i] @ model.difference(states[i], about[i])
+        known = guide if guide is not None and i < len(guide.before) else None
+        if known:
+            off = model.difference(states[i], known.before[i])
+            control = control if gains is None else control + gains[i] @ off
         controls[i] = np.minimum(np.maximum(control, -bound), bound)
-        after = model.step(states[i], controls[i])
+        near = known.guess(model, i, off, controls[i]) if known else None
+        after = model.step(states[i], controls[i], near)
         if after is None:
             return None
         states[i + 1] = after
@@ -244,7 +287,7 @@ def cost_to_go(
     cycles: int = 50,
     tolerance: float = 1e-6,
 ) -> np.ndarray:
-    """Return (n, n_z, n_z): the quadratic cost of going on for ever along an orbit, from each step.
+    """Return (n, n_z, n_z): the quadratic cost of going on for ever along a cycle, from each step.
 
     The periodic Riccati equation, by value iteration from 0: cycles are added in front until that changes
     nothing, or `cycles` of them.

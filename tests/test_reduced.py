@@ -11,6 +11,7 @@ from scipy.linalg import expm
 
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.errors import DefplanError
 
 
@@ -132,6 +133,28 @@ def test_any_memory_layout_and_number_type_gives_the_same_rollout(dynamics):
 def test_arrays_of_the_wrong_shape_are_refused(dynamics, call, sentence):
     with pytest.raises(DefplanError, match=sentence):
         call(dynamics, dynamics.rest_state())
+
+
+@pytest.mark.parametrize("body", ["small_fish", "small_walker"])
+def test_a_guess_of_the_next_state_saves_iterations_and_changes_nothing(body, request):
+    body = request.getfixturevalue(body)
+    walks = body.medium.gravity != 0
+    dynamics = ReducedDynamics(body, 0.03, Terrain() if walks else None)
+    rng = np.random.default_rng(0)
+    shapes = 0.5 * body.amplitude * np.sin(np.arange(40)[:, None] / 3 + np.arange(dynamics.nu))
+    states = dynamics.rollout(dynamics.rest_state(), shapes)
+    plain = good = 0
+    for x, u, after in zip(states, shapes, states[1:], strict=False):
+        plain += dynamics.step_info(x, u)[1].iterations
+        found, info = dynamics.step_info(x, u, after)
+        good += info.iterations
+        np.testing.assert_allclose(found, after, atol=1e-6)
+        for size in (1e-3, 0.1):  # good, bad
+            guess = after + size * rng.normal(size=dynamics.nx)
+            found, info = dynamics.step_info(x, u, guess)
+            assert not info.failed
+            np.testing.assert_allclose(found, after, atol=1e-5)
+    assert good == len(shapes) < 0.5 * plain
 
 
 def test_a_rollout_that_cannot_be_solved_is_an_error_and_stays_finite_where_it_was_asked_to(

@@ -98,9 +98,19 @@ def robustness_text(data: dict[str, Any]) -> str:
                 *(row["condition"], row["feedback"], f"{row['falls']} of {row['cycles']}"),
                 f"{100 * low:.1f}-{100 * high:.1f}%",
                 *("-" if value is None else f"{value:.3f}" for value in figures),
+                f"{row['decision_ms']:.2f}",
             ]
         )
-    columns = ["condition", "feedback", "falls", "95%", "drift, m", "drift, rad", "m a cycle"]
+    columns = [
+        "condition",
+        "feedback",
+        "falls",
+        "95%",
+        "drift, m",
+        "drift, rad",
+        "m a cycle",
+        "ms a step",
+    ]
     return table(columns, rows, f"{data['task']}, gaits switched at random")
 
 

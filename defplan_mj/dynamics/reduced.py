@@ -144,10 +144,21 @@ class ReducedDynamics:
         """Return the state (nx,) one time step after `x` under the input `u` (nu,)."""
         return self.step_info(x, u)[0]
 
-    def step_info(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, Info]:
-        """Like `step`, with Newton iterations and whether the solve failed."""
+    def step_info(
+        self, x: np.ndarray, u: np.ndarray, near: np.ndarray | None = None
+    ) -> tuple[np.ndarray, Info]:
+        """Like `step`, with Newton iterations and whether the solve failed.
+
+        Args:
+            near: a guess (nx,) of the state after the step, to save iterations: the result is the same
+                within the tolerance.
+        """
         x_next, info = np.empty(self.nx), Info()
-        self._lib.dp_step(self.model, self._state(x), self._input(u), x_next, ctypes.byref(info))
+        told = self.model, self._state(x), self._input(u)
+        if near is None:
+            self._lib.dp_step(*told, x_next, ctypes.byref(info))
+        else:
+            self._lib.dp_step_near(*told, self._state(near), x_next, ctypes.byref(info))
         return x_next, info
 
     def rollout(self, x0: np.ndarray, u: np.ndarray) -> np.ndarray:

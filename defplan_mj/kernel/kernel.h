@@ -68,6 +68,10 @@ DP_API void dp_sizes(const double* blob, int sizes[5]);
 /* One step. Returns 0, or 1 if the solve failed (x_next is then the best iterate, always finite). */
 DP_API int dp_step(const dp_model* m, const double* x, const double* u,
                    double* x_next, dp_info* info);
+/* The same from a state (nx) near the solution, of which the configuration counts: fewer iterations.
+ * If they do not converge, as dp_step. */
+DP_API int dp_step_near(const dp_model* m, const double* x, const double* u, const double* near,
+                        double* x_next, dp_info* info);
 /* N steps: u (N x nu), xs ((N+1) x nx) with xs[0] = x0 given. Returns the number of failed solves. */
 DP_API int dp_rollout(const dp_model* m, int N, const double* u, double* xs,
                       long* iterations);

@@ -267,31 +267,54 @@ static void pack(const Work* w, double* x_next) {
   for (int c = 0; c < r; c++) v[6 + c] = (w->q_now[c] - one->q[c]) * ih, x_next[7 + c] = w->q_now[c];
 }
 
-static int step(const Parts* p, const double* x, const double* u, double* x_next, dp_info* info) {
+/* Newton from the configuration of a state near the solution; returns 1 if it converged. */
+static int solve_near(Work* w, const double* near, dp_info* info) {
+  const int r = w->body->r;
+  const double sign = inner(near + 3, w->one.quat, 4) < 0 ? -1 : 1; /* the quaternion goes on as it was */
+  for (int i = 0; i < 4; i++) w->now.quat[i] = sign * near[3 + i];
+  memcpy(w->now.c, near, sizeof w->now.c);
+  quat_normalize(w->now.quat);
+  quat_matrix(w->now.quat, w->now.R);
+  memcpy(w->q_now, near + 7, sizeof(double) * r);
+  return terrain_parts(&w->terrain) ? newton(w, 10, info) : minimise(w, info);
+}
+
+/* near: a state (nx) near the solution, which the search begins at, or NULL. */
+static int step(const Parts* p, const double* x, const double* u, const double* near, double* x_next,
+                dp_info* info) {
   const Body* b = &p->body;
   WORK(w, p, u);
   work_unpack(&w, x);
   work_prepare(&w, 0);
+  w.now.q = w.q_now;
+  dp_info local;
+  if (!info) info = &local;
+  info->iterations = info->failed = 0, info->attempts = 1;
+  if (near && solve_near(&w, near, info)) {
+    pack(&w, x_next);
+    return 0;
+  }
   /* start from the free motion; the shape, which stiffness and control hold back, half way */
   const double h = w.par[DP_TIMESTEP], *v = x + 7 + b->r;
   double step0[MAX_N], turn[3];
   mul_mv(w.one.R, v + 3, turn);
   for (int i = 0; i < 3; i++) step0[i] = w.one.c[i] - w.guess[i], step0[3 + i] = -h * turn[i];
   for (int c = 0; c < b->r; c++) step0[6 + c] = -.5 * h * v[6 + c];
-  w.now.q = w.q_now;
   move(&w, &w.one, w.one.q, step0, 1);
-  dp_info local;
-  if (!info) info = &local;
-  info->attempts = 1;
   info->failed = !(terrain_parts(&w.terrain) ? solve_contact(&w, info) : minimise(&w, info));
   pack(&w, x_next);
   return info->failed;
 }
 
 int dp_step(const dp_model* m, const double* x, const double* u, double* x_next, dp_info* info) {
+  return dp_step_near(m, x, u, NULL, x_next, info);
+}
+
+int dp_step_near(const dp_model* m, const double* x, const double* u, const double* near, double* x_next,
+                 dp_info* info) {
   Parts p;
   if (parts_view(&p, m)) return 1;
-  return step(&p, x, u, x_next, info);
+  return step(&p, x, u, near, x_next, info);
 }
 
 int dp_rollout(const dp_model* m, int N, const double* u, double* xs, long* iterations) {
@@ -302,7 +325,7 @@ int dp_rollout(const dp_model* m, int N, const double* u, double* xs, long* iter
   long count = 0;
   for (int i = 0; i < N; i++) {
     dp_info info;
-    failed += step(&p, xs + (size_t)i * nx, u + (size_t)i * p.nu, xs + (size_t)(i + 1) * nx, &info);
+    failed += step(&p, xs + (size_t)i * nx, u + (size_t)i * p.nu, NULL, xs + (size_t)(i + 1) * nx, &info);
     count += info.iterations;
   }
   if (iterations) *iterations = count;
