@@ -99,8 +99,7 @@ class Weights:
         upright: in the plane, of the mean squared excess of the squared tilt over (15 degrees)^2,
             1/rad^4.
         sink: in the plane, of the squared change of depth, 1/m^2.
-        slip: on a terrain, of the feet's squared horizontal speeds near the ground, summed over the
-            feet, mean over the steps, s^2/m^2.
+        slip: on level ground, of the way that the loaded contacts slide in a cycle, 1/m.
         effort: of the mean squared target shape, in units of the amplitude; with a style, in modes
             that are not of it.
         style: which modes gaits start in, and use freely: 'any', 'sideways' (modes that bend the

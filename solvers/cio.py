@@ -295,5 +295,5 @@ POLISHED = Cio(
     "cio-shooting",
     "cio, then single shooting from there through the implicit contact",
     JOINT_STAGES,
-    polish=shooting.Shooting(name="cio-shooting", walk_rounds=((3, 16, 20),)),
+    polish=shooting.Shooting(name="cio-shooting"),
 )

@@ -13,7 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
-from defplan_mj.gait.problem import GaitProblem, quaternion_product
+from defplan_mj.gait.costs import quaternion_product
+from defplan_mj.gait.problem import GaitProblem
 
 _TRIALS = 8  # of the damping, before Newton gives up
 _TURN, _SHAPE = 0.3, 0.1  # metres that one radian, and one unit of q, count in a residual

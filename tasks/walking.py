@@ -15,8 +15,8 @@ from defplan_mj.task import BodyOptions, GaitTask, TaskSpec, Weights
 from defplan_tasks import environments, swimming
 
 AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
-GROUND = Terrain(slip_speed=0.03)
-WEIGHTS = Weights(turn=1.0, move=8.0, drift=8.0, tilt=3.0, slip=0.01)
+GROUND = Terrain()
+WEIGHTS = Weights(turn=3.0, move=8.0, drift=8.0, tilt=3.0, slip=0.8)
 ADVANCE = 0.4  # wanted of a cycle, m
 
 _SPEED = 0.5  # m/s towards the target that earn the full reward
@@ -31,12 +31,15 @@ def walking_tasks(advance: float = ADVANCE) -> tuple[GaitTask, ...]:
     )
 
 
-def walk_spec(name: str, description: str, mesh: str, vertices: int, paper: dict) -> TaskSpec:
+def walk_spec(
+    name: str, description: str, mesh: str, vertices: int, gait_solver: str, paper: dict
+) -> TaskSpec:
     """Return the task of a walker: all but its body's shape and the paper's figures is shared.
 
     Args:
         mesh: file among the assets.
         vertices: wanted number of tetrahedral mesh vertices.
+        gait_solver: the default one.
         paper: Tables I to III; hours are the paper's own.
     """
     return TaskSpec(
@@ -59,6 +62,7 @@ def walk_spec(name: str, description: str, mesh: str, vertices: int, paper: dict
         gait_steps=200,
         weights=WEIGHTS,
         terrain=GROUND,
+        gait_solver=gait_solver,
         paper={
             "dof": 16,
             "k2": 10,

@@ -24,6 +24,7 @@ from defplan_solvers.cio_model import pads, walker_of
 from defplan_solvers.cio_newton import ContactInvariant, Walk
 from defplan_solvers.cio_start import PATTERNS, foot_forces, starts
 from defplan_solvers.cio_terms import Weights
+from defplan_solvers.shooting_walk import Walking, solvable
 from defplan_tasks.environments import ASSETS
 
 GRAVITY = 9.81
@@ -302,10 +303,11 @@ def test_one_seed_is_one_gait_and_its_meta_are_what_it_says(walking, joint):
 
 
 def test_polishing_goes_on_from_the_walk(walking):
-    shoot = shooting.Shooting(walk_rounds=((2, 4, 5),), threads=1)
+    walking_rounds = Walking(rounds=((2, 4, 5),))
+    shoot = shooting.Shooting(walking=walking_rounds, threads=1)
     start = walking.w_of(QUICK.solve(walking, 0))
     polished = replace(QUICK, polish=shoot).solve(walking, 0)
-    sequences = shoot._solvable(walking, start, 2, 4, np.random.default_rng(0))
+    sequences = solvable(walking, start, 2, 4, np.random.default_rng(0))
     cost = walking.objective(sequences, settle=0)
     assert float(cost(walking.w_of(polished))) < float(cost(start))
 

@@ -15,7 +15,8 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait import switching
 from defplan_mj.gait.gait import Gait
-from defplan_mj.gait.problem import GaitProblem, balanced_sequence, lateral_share, pulse_share
+from defplan_mj.gait.problem import GaitProblem, balanced_sequence
+from defplan_mj.gait.style import lateral_share, pulse_share
 from defplan_mj.task import GaitTask, Weights
 from defplan_tasks.fish import SWIM
 

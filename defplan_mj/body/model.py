@@ -53,7 +53,7 @@ class Medium:
     righting_height: float = 0.03
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # the same object, or not: arrays are not compared
 class Body:
     """A reduced soft body in its rest frame: metres, centre of mass at the origin, z up, x forward.
 

@@ -10,6 +10,8 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.errors import DefplanError
 from defplan_mj.kernel.library import PATH, kernel
 
+KEPT = 4  # rollouts that a function remembers (N_KEPT in kernel/casadi.c)
+
 
 class CasadiDynamics:
     """CasADi's view of reduced dynamics as they are now (a copy: later changes do not show).
@@ -89,9 +91,17 @@ class CasadiDynamics:
 
         (x0: nx x count, u: nu x (n count)) -> x: nx x (n count), with adjoint.
         """
-        if threads > 1:
-            return self.rollout(n).map(count, "thread", threads)
-        return self.rollout(n).map(count)
+        x0, u = (
+            casadi.MX.sym("x0", self.dynamics.nx, count),
+            casadi.MX.sym("u", self.dynamics.nu, n * count),
+        )
+        parts = []
+        for first in range(0, count, KEPT):
+            some = min(KEPT, count - first)
+            rollout = self._function("defplan_rollout", n)
+            one = rollout.map(some, "thread", threads) if threads > 1 else rollout.map(some)
+            parts.append(one(x0[:, first : first + some], u[:, n * first : n * (first + some)]))
+        return casadi.Function("rollouts", [x0, u], [casadi.horzcat(*parts)])
 
     def _function(self, name: str, steps: int) -> casadi.Function:
         slot = kernel().dp_slot_open(self.dynamics.model, steps)

@@ -7,7 +7,8 @@ import numpy as np
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.kernel.contact_points import contact_points
 
-SOLE, TORSO = 0.08, 0.30  # shares of the undeformed height: below is a foot's, above is no leg's
+# Shares of the undeformed height: below is a foot's (a T's bar is arched by 12%), above is no leg's.
+SOLE, TORSO = 0.15, 0.30
 _CYCLES = 40  # at most, that are looked at
 
 
@@ -19,7 +20,7 @@ def footing(dynamics: ReducedDynamics, states: np.ndarray) -> dict[str, float]:
         'slip_share': the same a metre that the body walks;
         'penetration_mm', 'penetration_share': deepest contact, and in units of the body's height;
         'torso_clearance_m': least height of a point above the lowest 30% of the undeformed body;
-        'belly_load': share of the load that is not on the lowest 8% of it, the soles.
+        'belly_load': share of the load that is not on the lowest 15% of it, the soles.
     """
     body = dynamics.body
     surface = body.vertices[body.surface]

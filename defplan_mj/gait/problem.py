@@ -6,23 +6,22 @@ cycles, each of one task, and E_obj adds up over its cycles.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
-from defplan_mj.body.model import Body
 from defplan_mj.dynamics.external import CasadiDynamics
-from defplan_mj.dynamics.feet import lowest_feet
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.errors import DefplanError
+from defplan_mj.gait import costs
+from defplan_mj.gait.friction import Sliding
 from defplan_mj.gait.gait import Gait
+from defplan_mj.gait.style import STYLES
 from defplan_mj.task import GaitTask, TaskSpec, Weights
 
-_X = np.array([1.0, 0.0, 0.0])
 DEFAULT_WEIGHTS = Weights()
-LIFT = 0.02  # m; a foot that is lifted by more is free to move
 
 
 class GaitProblem:
@@ -166,62 +165,12 @@ class GaitProblem:
         """(x_start: nx, x: nx x n, wanted: 7) -> cost of one cycle, a term of E_obj."""
         n, nx = self.steps_per_cycle, self.dynamics.nx
         start, x, wanted = ca.SX.sym("x_start", nx), ca.SX.sym("x", nx, n), ca.SX.sym("wanted", 7)
-        cost = (self._planar_cost if self.space == "planar" else self._spatial_cost)(
-            start, x, wanted[:3], wanted[3:6], wanted[6]
-        )
+        asked = wanted[:3], wanted[3:6], wanted[6]
+        if self.space == "planar":
+            cost = costs.planar(self.weights, start, x, *asked)
+        else:
+            cost = costs.spatial(self.weights, self.axis, start, x, *asked)
         return ca.Function("cycle_cost", [start, x, wanted], [cost])
-
-    def _planar_cost(
-        self, start: ca.SX, x: ca.SX, turn: ca.SX, direction: ca.SX, advance: ca.SX
-    ) -> ca.SX:
-        """Yaw and displacement in the yaw frame at the start, tilt and depth in the world."""
-        n, weights = self.steps_per_cycle, self.weights
-        forward, end = _forward(start), _forward(x[:, -1])
-        yaw = ca.atan2(
-            forward[0] * end[1] - forward[1] * end[0], forward[0] * end[0] + forward[1] * end[1]
-        )
-        move = x[:3, -1] - start[:3]
-        ahead = forward[:2] / ca.sqrt(ca.sumsqr(forward[:2]) + 1e-12)
-        left = ca.vertcat(-ahead[1], ahead[0])
-        moved = ca.vertcat(ca.dot(ahead, move[:2]), ca.dot(left, move[:2]))
-        # squared tilt 2 (1 - R_zz), to second order
-        tilts = [4 * ca.sumsqr(x[4:6, i]) for i in range(n)]
-        tilt = sum(tilts) / n
-        lean = sum(ca.fmax(0, t - np.radians(15) ** 2) ** 2 for t in tilts) / n
-        return (
-            weights.turn * (yaw - turn[2]) ** 2
-            + self._move_cost(moved, direction[:2], advance)
-            + weights.tilt * tilt
-            + weights.upright * lean
-            + weights.sink * move[2] ** 2
-        )
-
-    def _spatial_cost(
-        self, start: ca.SX, x: ca.SX, turn: ca.SX, direction: ca.SX, advance: ca.SX
-    ) -> ca.SX:
-        """Rotation and displacement in the body frame at the start; no attitude is preferred.
-
-        With p the vector part of the rotation's error as a quaternion, 4 |p across y|^2 is the
-        paper's |R(x_start)^T R(x_end) y - y_j|^2 for the own axis y, and 4 (p . y)^2 is the squared
-        roll about it, both to second order.
-        """
-        angle = ca.sqrt(ca.sumsqr(turn) + 1e-30)
-        target = ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) / angle * turn)
-        made = quaternion_product(_conjugate(start[3:7]), x[3:7, -1])
-        error = quaternion_product(_conjugate(target), made)[1:4]
-        roll = ca.dot(error, self.axis)
-        moved = _rotation(start[3:7]).T @ (x[:3, -1] - start[:3])
-        return (
-            self.weights.turn * 4 * (ca.sumsqr(error) - roll**2)
-            + self.weights.roll * 4 * roll**2
-            + self._move_cost(moved, direction, advance)
-        )
-
-    def _move_cost(self, moved: ca.SX, direction: ca.SX, advance: ca.SX) -> ca.SX:
-        along = ca.dot(direction, moved)
-        drift = ca.sumsqr(moved - along * direction)
-        shortfall = ca.fmax(0, advance - along)
-        return self.weights.move * shortfall**2 + self.weights.drift * drift
 
     def trajectory_cost(self, sequence: Sequence[int], settle: int = 1) -> ca.Function:
         """Return (x0: nx, x: nx x (n cycles)) -> mean cost of the cycles after the first `settle`.
@@ -236,26 +185,12 @@ class GaitProblem:
         costs = self.cycle_cost.map(cycles)(starts, x, self.wanted[:, list(sequence)])
         cost = ca.sum2(costs[settle:]) / (cycles - settle)
         if self.weights.slip and self.dynamics.terrain is not None:
-            cost += self.weights.slip * self._slip(ca.horzcat(x0, x))
+            cost += self.weights.slip * self._sliding.path(ca.horzcat(x0, x)) / cycles
         return ca.Function("trajectory_cost", [x0, x], [cost])
 
-    def _slip(self, x: ca.MX) -> ca.MX:
-        """Mean over steps of the squared horizontal speeds of the feet, of each as far as it is down."""
-        count, places = x.shape[1], self._feet.map(x.shape[1])(x)
-        rest = np.array(self._feet(self.dynamics.rest_state()))
-        n_feet = rest.shape[1]
-        apart = ca.horzsplit(places, n_feet)
-        before, after = ca.vertcat(*map(ca.vec, apart[:-1])), ca.vertcat(*map(ca.vec, apart[1:]))
-        speed = ca.reshape(after - before, 3, -1)[:2, :] / self.dynamics.timestep
-        lifted = ca.reshape(after, 3, -1)[2, :] - np.tile(rest[2], count - 1)[None]
-        down = ca.exp(-((ca.fmax(0, lifted) / LIFT) ** 2))
-        return ca.dot(ca.sum1(speed**2), down) / (count - 1)
-
     @cached_property
-    def _feet(self) -> ca.Function:
-        """x -> (3, n_feet): where the feet are, the parts of the body that it stands on."""
-        feet = lowest_feet(self.dynamics.body)
-        return CasadiDynamics(self.dynamics.with_feet(feet)).feet
+    def _sliding(self) -> Sliding:
+        return Sliding(self.dynamics)
 
     def objective(
         self, sequences: Sequence[Sequence[int]], settle: int = 1, threads: int = 1
@@ -328,34 +263,6 @@ class GaitProblem:
         return self.join(gait.mu, gait.alpha, gait.beta)
 
 
-def _forward(x: ca.SX) -> ca.SX:
-    """The body's x axis in the world, from the state's quaternion."""
-    w, a, b, c = (x[3 + i] for i in range(4))
-    return ca.vertcat(1 - 2 * (b * b + c * c), 2 * (a * b + w * c), 2 * (a * c - w * b))
-
-
-def quaternion_product(a: ca.SX, b: ca.SX) -> ca.SX:
-    """Return the product of quaternions (w x y z), symbolic."""
-    return ca.vertcat(
-        a[0] * b[0] - ca.dot(a[1:4], b[1:4]),
-        a[0] * b[1:4] + b[0] * a[1:4] + ca.cross(a[1:4], b[1:4]),
-    )
-
-
-def _conjugate(q: ca.SX) -> ca.SX:
-    return ca.vertcat(q[0], -q[1:4])
-
-
-def _rotation(q: ca.SX) -> ca.SX:
-    """The rotation matrix of a unit quaternion."""
-    w, a, b, c = (q[i] for i in range(4))
-    return ca.vertcat(
-        ca.horzcat(1 - 2 * (b * b + c * c), 2 * (a * b - w * c), 2 * (a * c + w * b)),
-        ca.horzcat(2 * (a * b + w * c), 1 - 2 * (a * a + c * c), 2 * (b * c - w * a)),
-        ca.horzcat(2 * (a * c - w * b), 2 * (b * c + w * a), 1 - 2 * (a * a + b * b)),
-    )
-
-
 def balanced_sequence(n_tasks: int, length: int, rng: np.random.Generator) -> list[int]:
     """Return a random walk over the tasks that uses every transition about equally often."""
     used = np.zeros((n_tasks, n_tasks))
@@ -366,52 +273,3 @@ def balanced_sequence(n_tasks: int, length: int, rng: np.random.Generator) -> li
         sequence.append(int(rng.choice(rare)))
         used[here, sequence[-1]] += 1
     return sequence
-
-
-def lateral_share(body: Body, axis: np.ndarray = _X, sections: int = 24) -> np.ndarray:
-    """Return (r,) how much of each mode bends the body sideways as a whole, 0 to 1.
-
-    The share of the mode's kinetic energy in the lateral motion of the means of its cross-sections
-    along the own axis (a horizontal one).
-    """
-    x, side = body.vertices @ axis, np.cross([0.0, 0.0, 1.0], axis)
-    edges = np.linspace(x.min(), x.max(), sections + 1)[1:-1]
-    return _share_of_means(
-        body, np.digitize(x, edges), (body.modes.transpose(0, 2, 1) @ side)[None]
-    )
-
-
-def pulse_share(body: Body, axis: np.ndarray, sections: int = 8, rings: int = 4) -> np.ndarray:
-    """Return (r,) how much of each mode is the same all around the own axis, 0 to 1.
-
-    The share of its kinetic energy in the mean radial and axial motion of rings about the axis.
-    """
-    along = body.vertices @ axis
-    radial = body.vertices - np.outer(along, axis)
-    radius = np.linalg.norm(radial, axis=1)
-    outward = radial / np.maximum(radius, 1e-9)[:, None]
-    section = np.digitize(along, np.linspace(along.min(), along.max(), sections + 1)[1:-1])
-    ring = np.digitize(radius, np.linspace(0.0, radius.max(), rings + 1)[1:-1])
-    motion = [
-        np.einsum("nir,ni->nr", body.modes, outward),
-        np.einsum("nir,i->nr", body.modes, axis),
-    ]
-    return _share_of_means(body, section * rings + ring, np.array(motion))
-
-
-def _share_of_means(body: Body, group: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Return (r,) the share of the modes' energy in the group means of motions (c, n, r)."""
-    mass, groups = body.vertex_mass, group.max() + 1
-    weight = np.bincount(group, mass, groups)
-    shares = []
-    for r, mode in enumerate(body.modes.transpose(2, 0, 1)):
-        moments = [np.bincount(group, mass * part[:, r], groups) for part in motion]
-        means = np.array(moments) / np.maximum(weight, 1e-300)
-        shares.append((weight * means**2).sum() / (mass[:, None] * mode**2).sum())
-    return np.array(shares)
-
-
-STYLES: dict[str, Callable[[Body, np.ndarray], np.ndarray]] = {
-    "sideways": lateral_share,
-    "pulse": pulse_share,
-}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from defplan_mj.body.model import Body
@@ -20,6 +22,7 @@ def sphere_directions(count: int) -> np.ndarray:
     return np.stack([rho * np.cos(angle), rho * np.sin(angle), z], axis=1)
 
 
+@lru_cache(maxsize=8)
 def contact_points(body: Body) -> np.ndarray:
     """Return indices (n,) into `body.surface` of at most 192 points; the same every time.
 

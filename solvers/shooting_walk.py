@@ -1,0 +1,176 @@
+"""Single shooting of a walker's gaits: L-BFGS-B over w through the exact adjoint of the rollout.
+
+A gait that falls has no useful gradient, so that each stage begins with gaits that stay up that long:
+each task alone from random starts, then all tasks together while they are switched, over longer and
+longer sequences. A fall makes the objective jump by orders of magnitude, which ipopt takes for a fair
+price of a feasible point; so target shapes are bounded by a penalty here, and every iteration lowers
+the objective.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import OptimizeResult, minimize
+
+from defplan_mj.errors import DefplanError
+from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.task import Progress
+
+_SCALES = 1.0, 0.15  # of the unknowns alpha and beta
+_PENALTY = 5.0  # of the mean squared excess of target shapes
+_FAILED = 1e3  # objective where a step does not converge: more than any fall's
+_MEMORY = 20  # pairs of L-BFGS
+
+
+@dataclass
+class Trace:
+    """What an optimiser tells after each iteration: keeps the objective, shows progress."""
+
+    progress: Progress
+    total: int
+    message: str = ""
+    objective: list[float] = field(default_factory=list)
+
+    def add(self, objective: float) -> None:
+        """Take the objective of an iteration."""
+        self.objective.append(objective)
+        self.progress(self.message, min(1.0, len(self.objective) / self.total))
+
+
+@dataclass(frozen=True)
+class Walking:
+    """Stages of a walker's gaits.
+
+    Attributes:
+        starts: random starts of each task alone.
+        alone: (cycles of the walk, limit of iterations, starts that go on) of each task alone.
+        rounds: (cycles of a sequence, sequences, limit of iterations) of all tasks.
+        bound: of alpha and beta.
+    """
+
+    starts: int = 8
+    alone: tuple[tuple[int, int, int], ...] = ((2, 12, 4), (3, 25, 2), (5, 40, 1))
+    rounds: tuple[tuple[int, int, int], ...] = ((3, 8, 40), (6, 8, 40), (8, 8, 40))
+    bound: float = 4.0
+
+    def iterations(self, tasks: int, given: bool) -> int:
+        """Return the limit of all iterations together."""
+        total, starts = 0, self.starts
+        for _, iterations, kept in self.alone:
+            total, starts = total + starts * iterations, kept
+        return (0 if given else tasks * total) + sum(iterations for *_, iterations in self.rounds)
+
+    def solve(
+        self,
+        problem: GaitProblem,
+        rng: np.random.Generator,
+        trace: Trace,
+        start: np.ndarray | None,
+        threads: int,
+    ) -> tuple[np.ndarray, list[float], list[dict]]:
+        """Return w of all tasks, the objective of each iteration of the rounds, what the stages were.
+
+        With a `start` (n_w,) it is taken through the rounds alone.
+        """
+        w, history, stages = start, [], []
+        if w is None:
+            found = [self._alone(problem.alone(j), rng, trace) for j in range(problem.n_tasks)]
+            stages = [stage for *_, stage in found]
+            mu, alphas, betas, _ = zip(*found, strict=True)
+            w = problem.join(mu[0], np.array(alphas), np.array(betas))
+        for number, (cycles, count, iterations) in enumerate(self.rounds):
+            trace.message = f"gait: all tasks, round {number + 1} of {len(self.rounds)}"
+            sequences = solvable(problem, w, cycles, count, rng)
+            if not sequences:
+                raise DefplanError(
+                    f"the gaits of {problem.dynamics.body.name} cannot be simulated over {cycles}"
+                    " cycles: take another seed"
+                )
+            w, stage = self._minimise(problem, sequences, w, iterations, trace, threads)
+            history += trace.objective[len(trace.objective) - stage["iterations"] :]
+            stages.append(stage | {"stage": trace.message.removeprefix("gait: ")})
+        return w, history, stages
+
+    def _alone(
+        self, alone: GaitProblem, rng: np.random.Generator, trace: Trace
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict]:
+        """Return mu (D, r), alpha, beta (D, r) and the last stage of one task's best start."""
+        name = alone.tasks[0].name
+        trace.message = f"gait: {name} alone"
+        trials = [(alone.random_gait(rng), {"objective": np.inf}) for _ in range(self.starts)]
+        for cycles, iterations, kept in self.alone:
+            trials = [
+                self._minimise(alone, [[0] * cycles], w, iterations, trace, 1) for w, _ in trials
+            ]
+            trials = sorted(trials, key=lambda trial: trial[1]["objective"])[:kept]
+        w, stage = trials[0]
+        mu, alpha, beta = alone.split(w)
+        return mu, alpha[0], beta[0], stage | {"stage": f"{name} alone"}
+
+    def _minimise(
+        self,
+        problem: GaitProblem,
+        sequences: Sequence[Sequence[int]],
+        w0: np.ndarray,
+        iterations: int,
+        trace: Trace,
+        threads: int,
+    ) -> tuple[np.ndarray, dict]:
+        """Lower the cost of sequences; return w and what the stage was. Phases stay as they are."""
+        began = time.perf_counter()
+        w, n = ca.MX.sym("w", problem.n_w), problem.n_phases
+        shapes = problem.dmp(w)
+        excess = ca.fmax(0, ca.fabs(shapes) - problem.dynamics.body.amplitude)
+        cost = problem.objective(sequences, settle=0, threads=threads)(w)
+        cost += _PENALTY * ca.sumsqr(excess) / excess.numel()
+        function = ca.Function("cost", [w], [cost, ca.gradient(cost, w)])
+        scale = np.repeat(_SCALES, n * problem.n_tasks)
+        bound = self.bound / scale
+
+        def evaluate(y: np.ndarray) -> tuple[float, np.ndarray]:
+            try:
+                value, gradient = function(np.concatenate([w0[:n], scale * y]))
+            except RuntimeError:  # a step does not converge: as a wall
+                return _FAILED, np.zeros_like(y)
+            return float(value), scale * np.array(gradient).ravel()[n:]
+
+        def tell(intermediate_result: OptimizeResult) -> None:
+            trace.add(float(intermediate_result.fun))
+
+        found = minimize(
+            *(evaluate, w0[n:] / scale),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=np.stack([-bound, bound], 1),
+            callback=tell,
+            options={"maxiter": iterations, "maxcor": _MEMORY},
+        )
+        return np.concatenate([w0[:n], scale * found.x]), {
+            "objective": float(found.fun),
+            "iterations": int(found.nit),
+            "evaluations": int(found.nfev),
+            "status": str(found.message),
+            "seconds": time.perf_counter() - began,
+        }
+
+
+def solvable(
+    problem: GaitProblem, w: np.ndarray, cycles: int, count: int, rng: np.random.Generator
+) -> list[list[int]]:
+    """Return random sequences of tasks, each task first in as many; none whose solve fails at w."""
+    dynamics, table = problem.dynamics, problem.gait(w, {}).table()
+    found: list[list[int]] = []
+    for _ in range(10 * count):
+        first, rest = len(found) % problem.n_tasks, rng.integers(problem.n_tasks, size=cycles)
+        sequence = [first, *(int(task) for task in rest[1:])]
+        shapes = table[sequence].reshape(-1, dynamics.nu)
+        if not dynamics.rollout_count(dynamics.rest_state(), shapes)[1]:
+            found.append(sequence)
+        if len(found) == count:
+            break
+    return found
