@@ -6,7 +6,7 @@ import heapq
 
 import numpy as np
 
-from defplan_mj.planning.planner import Observation
+from defplan_mj.planning.planner import Observation, carried_out
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
@@ -52,7 +52,7 @@ class AstarPlanner:
             values = np.where(self.shield.safe(points), values, values - np.ptp(values) - 1)
         else:
             values[gait] = values.max() + 1
-        self.map.chose(int(values.argmax()))
+        self.map.chose(carried_out(values, observation))
         return values
 
     def _plan(self, points: np.ndarray, target: np.ndarray) -> int | None:

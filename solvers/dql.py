@@ -6,17 +6,17 @@ The recipe is in `dql_training.py`, which is imported only to train: acting need
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from defplan_mj.errors import DefplanError
-from defplan_mj.planning.loops import LoopBreaker
-from defplan_mj.planning.observation import features, target_features
+from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation, Progress, no_progress
+from defplan_solvers.loops import LoopBreaker
 from defplan_solvers.policy_files import load_policy, save_policy
 
 SAFETY_SECONDS = 600.0
@@ -43,25 +43,23 @@ class QNetwork:
         return hidden @ self.weights[-1].T + self.biases[-1]
 
 
-@dataclass(frozen=True)
 class DqlPlanner:
     """A trained Q network as a planner.
 
-    Attributes:
+    Args:
         network: values of the gaits.
-        task_names: the gaits.
-        laser_range: m.
-        dimension: of the targets: 2 in the plane, 3 in space.
-        meta: how it was trained.
-        loops: what gets the robot out of loops.
+        surrogate: of the robot.
+        navigation: for the laser and the space.
+        meta: how the network was trained.
     """
 
-    network: QNetwork
-    task_names: tuple[str, ...]
-    laser_range: float
-    dimension: int
-    meta: dict
-    loops: LoopBreaker = field(default_factory=LoopBreaker)
+    def __init__(
+        self, network: QNetwork, surrogate: Surrogate, navigation: Navigation, meta: dict
+    ) -> None:
+        self.network, self.meta = network, meta
+        self.task_names, self.navigation = surrogate.task_names, navigation
+        self.senses = Senses(surrogate, navigation)
+        self.loops = LoopBreaker(surrogate, navigation)
 
     def reset(self) -> None:
         """Forget the episode."""
@@ -69,8 +67,8 @@ class DqlPlanner:
 
     def values(self, observation: Observation) -> np.ndarray:
         """Return the (K,) Q values, lowered where they would lead round in circles."""
-        laser, target = observation["laser"], observation["target"][: self.dimension]
-        return self.loops.adjust(self.network(features(laser, target, self.laser_range)), target)
+        laser, target = observation["laser"], observation["target"][: self.navigation.dimension]
+        return self.loops.adjust(self.network(self.senses(laser, target)), target, observation)
 
 
 class DqlSolver:
@@ -104,9 +102,7 @@ class DqlSolver:
         started = time.perf_counter()
         limit = SAFETY_SECONDS if seconds is None else seconds
         network, curves, meta = train(surrogate, navigation, seed, Recipe(), limit, progress)
-        planner = DqlPlanner(
-            network, surrogate.task_names, navigation.laser_range, navigation.dimension, meta
-        )
+        planner = DqlPlanner(network, surrogate, navigation, meta)
         return TrainResult(planner, curves, time.perf_counter() - started)
 
     def save(self, planner: Planner, path: Path) -> None:
@@ -119,7 +115,7 @@ class DqlSolver:
         meta = {
             "layers": len(network.weights),
             "task_names": list(planner.task_names),
-            "laser_range": planner.laser_range,
+            "laser_range": planner.navigation.laser_range,
             "training": planner.meta,
         }
         save_policy(path, self.name, arrays, meta)
@@ -135,16 +131,14 @@ class DqlSolver:
         network = QNetwork(
             tuple(arrays[f"weight{i}"] for i in layers), tuple(arrays[f"bias{i}"] for i in layers)
         )
-        dimension = navigation.dimension
-        inputs = navigation.beams + target_features(dimension)
-        if network.weights[0].shape[1] != inputs:
+        trained = replace(navigation, laser_range=meta["laser_range"])
+        planner = DqlPlanner(network, surrogate, trained, meta["training"])
+        if network.weights[0].shape[1] != planner.senses.size:
             raise DefplanError(
-                f"{path} wants {network.weights[0].shape[1]} inputs, this task's laser and target"
-                f" give {inputs}: train the planner anew"
+                f"{path} wants {network.weights[0].shape[1]} inputs, this task's laser, target and"
+                f" gaits give {planner.senses.size}: train the planner anew"
             )
-        return DqlPlanner(
-            network, surrogate.task_names, meta["laser_range"], dimension, meta["training"]
-        )
+        return planner
 
 
 SOLVER = DqlSolver()

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from defplan_mj import registry
-from defplan_mj.planning.observation import features
+from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SUCCESS, TIMEOUT, run_on_surrogate
@@ -46,6 +46,7 @@ def ablate(
     started = time.process_time()
     network, _, _ = train(surrogate, navigation, seed, recipe, float("inf"), no_progress)
     seconds = time.process_time() - started
+    senses = Senses(surrogate, navigation)
     # The novel scenes of `seed` itself are in the training curves: these are others.
     novel = SceneBatch.of(novel_scenes(navigation, NOVEL, seed + 500))
     runs = [
@@ -53,9 +54,7 @@ def ablate(
             surrogate,
             navigation,
             batch,
-            lambda laser, target, _: network(
-                features(laser, target, navigation.laser_range)
-            ).argmax(1),
+            lambda laser, target, _: network(senses(laser, target)).argmax(1),
             np.random.default_rng(seed),
             recipe.noise,
         )

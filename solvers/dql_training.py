@@ -15,7 +15,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from defplan_mj.planning.observation import features, target_features
+from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.scenes import (
     SceneBatch,
     k2_scenes,
@@ -23,6 +23,7 @@ from defplan_mj.planning.scenes import (
     training_scenes,
     validation_scenes,
 )
+from defplan_mj.planning.shield import LEVELS
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import (
     COLLISION,
@@ -47,7 +48,8 @@ class Recipe:
         robots: environments stepped at once.
         scenes: size of the bank of training scenes.
         noise: scatter of the cycles, in units of the surrogate's standard deviations.
-        margin: what the disc is larger in training than the surrogate's, m.
+        margin: what the disc is larger in training than the surrogate's, m. It is the shield's: where
+            the planner wants to pass and the shield does not let it, the robot would be stuck.
         hidden: units of each hidden layer.
         batch, buffer, learning_rate, discount, n_steps: of DQN. The buffer holds the whole
             training: one that forgets early collisions unlearns to avoid them.
@@ -67,7 +69,7 @@ class Recipe:
     robots: int = 64
     scenes: int = 10_000
     noise: float = 1.0
-    margin: float = 0.2
+    margin: float = LEVELS[0][1]
     hidden: tuple[int, ...] = (64, 64, 64)
     batch: int = 512
     buffer: int = 300_000
@@ -160,17 +162,16 @@ class _Robots(VecEnv):
         generator = np.random.default_rng(seed)
         wary = replace(surrogate, radius=surrogate.radius + recipe.margin)
         self.robots = SurrogateEnv(wary, navigation, bank, recipe.robots, generator, recipe.noise)
-        self.recipe, self.laser_range = recipe, navigation.laser_range
+        self.recipe, self.senses = recipe, Senses(surrogate, navigation)
         self.advance = float(np.linalg.norm(surrogate.translations, axis=1).max())
         self.actions = np.zeros(recipe.robots, np.int64)
         self.render_mode = None
-        inputs = navigation.beams + target_features(navigation.dimension)
-        box = gymnasium.spaces.Box(-np.inf, np.inf, (inputs,), np.float32)
+        box = gymnasium.spaces.Box(-np.inf, np.inf, (self.senses.size,), np.float32)
         gaits = gymnasium.spaces.Discrete(len(surrogate.task_names))
         super().__init__(recipe.robots, box, gaits)
 
     def reset(self) -> np.ndarray:
-        return features(*self.robots.reset(), self.laser_range)
+        return self.senses(*self.robots.reset())
 
     def step_async(self, actions: np.ndarray) -> None:
         self.actions = actions
@@ -181,13 +182,13 @@ class _Robots(VecEnv):
         done = step.outcome != RUNNING
         infos: list[dict] = [{} for _ in range(self.num_envs)]
         ended = np.flatnonzero(done)
-        last = features(step.final_laser[ended], step.final_target[ended], self.laser_range)
+        last = self.senses(step.final_laser[ended], step.final_target[ended])
         for robot, observation in zip(ended, last, strict=True):
             infos[robot] = {
                 "terminal_observation": observation,
                 "TimeLimit.truncated": bool(step.outcome[robot] == TIMEOUT),
             }
-        observation = features(step.laser, step.target, self.laser_range)
+        observation = self.senses(step.laser, step.target)
         return observation, reward.astype(np.float32), done, infos
 
     def close(self) -> None:
@@ -261,6 +262,7 @@ class _Checkpoints(BaseCallback):
         super().__init__()
         self.surrogate, self.navigation, self.seed = surrogate, navigation, seed
         self.recipe, self.progress = recipe, progress
+        self.senses = Senses(surrogate, navigation)
         self.deadline = time.perf_counter() + seconds
         self.batch = SceneBatch.join(
             [
@@ -321,9 +323,7 @@ class _Checkpoints(BaseCallback):
             self.surrogate,
             self.navigation,
             self.batch,
-            lambda laser, target, _: network(
-                features(laser, target, self.navigation.laser_range)
-            ).argmax(1),
+            lambda laser, target, _: network(self.senses(laser, target)).argmax(1),
             np.random.default_rng(self.seed),
             self.recipe.noise,
         )

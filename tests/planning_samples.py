@@ -61,6 +61,26 @@ def swimmer(radius: float = 0.55, scatter: float = 0.03) -> Surrogate:
     )
 
 
+def walker(radius: float = 0.88, scatter: float = 0.04) -> Surrogate:
+    """Return f_fit of a wide robot that steps to four sides and hardly turns."""
+    step, drift = 0.4, -0.03
+    ways = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], float)
+    return Surrogate(
+        body_hash="b" * 64,
+        gait_hash="a" * 64,
+        task_names=("forward", "back", "left", "right"),
+        rotations=Rotation.from_rotvec([[0, 0, drift]] * 4).as_matrix(),
+        translations=step * ways,
+        cycle_seconds=0.92,
+        pairs=1000,
+        rotation_mean=np.full(4, abs(drift)),
+        rotation_sd=np.full(4, scatter),
+        translation_mean=np.full(4, step),
+        translation_sd=np.full(4, scatter),
+        radius=radius,
+    )
+
+
 def spheres(balls=(), target=(10.0, 0.0, 0.0), orientation=(1.0, 0, 0, 0), **kwargs) -> Scene:
     """Return a scene with spheres (x, y, z, radius) and a start attitude."""
     array = np.array(balls, float).reshape(-1, 4)

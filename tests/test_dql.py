@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from defplan_mj.errors import DefplanError
-from defplan_mj.planning.observation import features
+from defplan_mj.planning.beams import beam_directions
+from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes
 from defplan_mj.planning.surrogate_env import COLLISION, RUNNING, SUCCESS, run_on_surrogate
 from defplan_mj.task import Navigation
@@ -35,7 +36,7 @@ def silent(message, fraction):
     pass
 
 
-def random_network(seed=0, inputs=69):
+def random_network(seed=0, inputs=75):
     generator = np.random.default_rng(seed)
     sizes = [inputs, 8, 8, 3]
     return QNetwork(
@@ -47,7 +48,7 @@ def random_network(seed=0, inputs=69):
 
 
 def planner(**kwargs):
-    return DqlPlanner(random_network(**kwargs), ("forward", "left", "right"), 10.0, 2, {"seed": 0})
+    return DqlPlanner(random_network(**kwargs), samples.surrogate(), NAVIGATION, {"seed": 0})
 
 
 def observation():
@@ -62,24 +63,53 @@ def test_the_network_in_numpy_is_the_one_in_torch():
         linear = torch.nn.Linear(*weight.shape[::-1])
         linear.load_state_dict({"weight": torch.tensor(weight), "bias": torch.tensor(bias)})
         layers += [linear, torch.nn.Softplus()]
-    inputs = np.random.default_rng(1).normal(size=(20, 69)).astype(np.float32)
+    inputs = np.random.default_rng(1).normal(size=(20, 75)).astype(np.float32)
     with torch.no_grad():
         expected = torch.nn.Sequential(*layers[:-1])(torch.from_numpy(inputs)).numpy()
     assert np.allclose(network(inputs), expected, rtol=1e-5, atol=1e-5)
 
 
-def test_features_tell_near_and_far_targets_and_sides_apart():
-    laser = np.array([10.0, 2.5, 0.0])
-    row = features(laser, np.array([3.0, -4.0]), 10.0)
-    expected = [0, 0.75, 1, 0.6, -0.8, np.log(6) / 3, 0.25, np.exp(-2.5)]
-    assert row.dtype == np.float32 and np.allclose(row, expected, atol=1e-6)
+def test_features_tell_near_and_far_targets_sides_and_the_room_of_gaits_apart():
+    senses = Senses(samples.walker(radius=0.9), Navigation(beams=4))
+    laser = np.array([1.4, 10.0, 1.0, 10.0])  # ahead and behind
+    row = senses(laser, np.array([3.0, -4.0]))
+    sideways = np.hypot(1.0, 0.0) - 0.9  # the start of a cycle is the nearest to what is behind
+    room = np.array([0.1, 1.0 - 0.4 - 0.9, sideways, sideways])
+    expected = [0.86, 0, 0.9, 0, 0.6, -0.8, np.log(6) / 3, 0.25, np.exp(-2.5)]
+    expected = [*expected, *np.tanh(room / 0.2), *np.exp(-room)]
+    assert row.dtype == np.float32 and len(row) == senses.size
+    assert np.allclose(row, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("robot", "navigation"),
+    [
+        pytest.param(samples.surrogate, NAVIGATION, id="turning"),
+        pytest.param(samples.walker, NAVIGATION, id="walking"),
+        pytest.param(samples.swimmer, SPATIAL, id="spatial"),
+    ],
+)
+def test_the_room_of_a_gait_is_what_its_way_sampled_finely_leaves(robot, navigation):
+    surrogate = robot()
+    laser = np.random.default_rng(0).uniform(0.3, 4, (5, navigation.beams)).astype(np.float32)
+    directions = beam_directions(navigation.beams, navigation.space)
+    ways = surrogate.motions(navigation.space).translations
+    along = np.linspace(0, 1, 501)[:, None, None] * ways
+    points = laser[:, :, None] * directions
+    expected = [
+        np.linalg.norm(along[:, :, None] - scan, axis=3).min((0, 2)) - surrogate.radius
+        for scan in points
+    ]
+    senses = Senses(surrogate, navigation)
+    assert np.allclose(senses.room(laser), expected, atol=2e-3)
+    assert senses.room(laser[:0]).shape == (0, len(ways))
 
 
 @pytest.mark.parametrize(
     ("robot", "navigation", "layer"),
     [
-        pytest.param(samples.surrogate, NAVIGATION, (64, 69), id="planar"),
-        pytest.param(samples.swimmer, SPATIAL, (64, 134), id="spatial"),
+        pytest.param(samples.surrogate, NAVIGATION, (64, 75), id="planar"),
+        pytest.param(samples.swimmer, SPATIAL, (64, 144), id="spatial"),
     ],
 )
 def test_training_repeats_itself_to_the_bit_whatever_was_drawn_before(robot, navigation, layer):
@@ -132,7 +162,7 @@ def test_an_ablation_tries_the_chosen_network_on_k2_and_novel_scenes():
 
 def test_training_stops_at_the_limit_of_time_and_still_gives_a_network():
     network, curves, meta = train(samples.surrogate(), NAVIGATION, 0, SMALL, 0.0, silent)
-    assert meta["stopped_early"] and network.weights[0].shape == (64, 69)
+    assert meta["stopped_early"] and network.weights[0].shape == (64, 75)
 
 
 def test_training_tells_its_progress_up_to_the_end():
@@ -150,8 +180,10 @@ def test_training_leaves_the_number_of_torch_threads_as_it_was():
 
 
 def success(surrogate, navigation, network, scenes):
+    senses = Senses(surrogate, navigation)
+
     def act(laser, target, robots):
-        return network(features(laser, target, navigation.laser_range)).argmax(1)
+        return network(senses(laser, target)).argmax(1)
 
     return run_on_surrogate(surrogate, navigation, SceneBatch.of(scenes), act).rate()
 
@@ -162,6 +194,17 @@ def test_training_learns_to_reach_k2_and_most_novel_targets(seed):
     recipe = Recipe(transitions=150_000, buffer=150_000, checkpoints=8)
     surrogate = samples.surrogate()
     network, _, _ = train(surrogate, NAVIGATION, seed, recipe, 600, silent)
+    assert success(surrogate, NAVIGATION, network, k2_scenes(NAVIGATION, seed)) == 1
+    novel = novel_scenes(NAVIGATION, 200, seed + 50)
+    assert success(surrogate, NAVIGATION, network, novel) > 0.85
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_a_wide_walker_learns_to_reach_k2_and_most_novel_targets(seed):
+    surrogate = samples.walker()
+    network, _, meta = train(surrogate, NAVIGATION, seed, Recipe(), 3600, silent)
+    assert not meta["stopped_early"]
     assert success(surrogate, NAVIGATION, network, k2_scenes(NAVIGATION, seed)) == 1
     novel = novel_scenes(NAVIGATION, 200, seed + 50)
     assert success(surrogate, NAVIGATION, network, novel) > 0.85
@@ -198,7 +241,7 @@ def test_a_saved_planner_gives_the_same_values_to_the_bit(tmp_path):
 def test_policies_that_do_not_fit_are_refused_in_one_sentence(tmp_path):
     path = tmp_path / "policy.npz"
     SOLVER.save(planner(), path)
-    with pytest.raises(DefplanError, match="wants 69 inputs, this task's laser .* give 37"):
+    with pytest.raises(DefplanError, match="wants 75 inputs, this task's laser, .* gaits give 43"):
         SOLVER.load(path, samples.surrogate(), Navigation(beams=32))
     renamed = dataclasses.replace(samples.surrogate(), task_names=("forward", "port", "right"))
     with pytest.raises(DefplanError, match="forward, left, right, not for forward, port, right"):

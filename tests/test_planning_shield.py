@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.planning.frames import attitude_frames, turns
 from defplan_mj.planning.motion_tree import MotionTree
+from defplan_mj.planning.planner import carried_out
 from defplan_mj.planning.scenes import SceneBatch, novel_scenes
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate_env import COLLISION, run_on_surrogate
@@ -36,6 +37,7 @@ class Stubborn:
         self.resets += 1
 
     def values(self, observation):
+        self.seen = observation
         return self.fixed
 
 
@@ -116,6 +118,15 @@ def test_a_wall_ahead_devalues_the_gait_that_swims_into_it():
     values = shield.values(looking_at(*wall))
     assert np.argmax(values) == 2  # the best of those that turn away
     assert values[0] < values[1:].min()
+
+
+def test_the_planner_is_told_what_is_safe_and_so_what_is_done():
+    pilot = Stubborn(3, 1, 2)
+    shield = Shield(pilot, samples.surrogate(), NAVIGATION)
+    values = shield.values(looking_at(*((1.1, y) for y in np.linspace(-0.8, 0.8, 17))))
+    assert list(pilot.seen["safe"]) == [False, True, True]
+    assert carried_out(pilot.fixed, pilot.seen) == np.argmax(values) == 2
+    assert carried_out(pilot.fixed, {}) == 0
 
 
 @BOTH

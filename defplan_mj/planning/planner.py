@@ -14,7 +14,14 @@ from defplan_mj.task import Navigation, Progress
 
 Observation = Mapping[str, np.ndarray]
 """'laser' (beams,) m; 'target' (3,) m, of which the first d count; 'state' reduced state. All in the
-robot's frame: the yaw frame of planar tasks (d = 2), the body frame of those in space (d = 3)."""
+robot's frame: the yaw frame of planar tasks (d = 2), the body frame of those in space (d = 3). In the
+shield there is 'safe' (K,), too: which gaits it lets pass; the planner's best of these is done."""
+
+
+def carried_out(values: np.ndarray, observation: Observation) -> int:
+    """Return which gait is done if a planner gives these values (K,): the best, or the best safe one."""
+    safe = observation.get("safe")
+    return int(np.argmax(values if safe is None else np.where(safe, values, -np.inf)))
 
 
 class Planner(Protocol):

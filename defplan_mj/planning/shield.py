@@ -17,6 +17,9 @@ LEVELS = ((4, 0.3), (4, 0.05), (2, 0.0), (1, 0.0))
 class Shield:
     """A planner that wraps another one and devalues gaits that lead into what the laser sees.
 
+    The wrapped planner is told which gaits are safe ('safe' of its observation): one that remembers
+    its way must know what was done.
+
     A gait is safe if the surrogate knows a sequence of cycles that begins with it and keeps the
     ball that holds the body clear of every laser point by a margin. If no gait is, a shorter
     sequence and a smaller margin must do; if none is left, the gait that stays farthest from the
@@ -48,8 +51,8 @@ class Shield:
 
     def values(self, observation: Observation) -> np.ndarray:
         """Return the planner's values, those of unsafe gaits lowered below all others."""
-        values = self.planner.values(observation)
         safe = self.safe(laser_points(observation["laser"], self.navigation))
+        values = self.planner.values({**observation, "safe": safe})
         return np.where(safe, values, values - (np.ptp(values) + 1.0))
 
     def safe(self, points: np.ndarray) -> np.ndarray:
