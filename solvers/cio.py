@@ -20,6 +20,7 @@ from defplan_solvers.alternating import Fit
 from defplan_solvers.cio_model import Walker, walker_of
 from defplan_solvers.cio_newton import ContactInvariant, Walk
 from defplan_solvers.cio_terms import Weights
+from defplan_solvers.shooting_walk import Walking
 
 _DAMPING = 1e-2
 
@@ -280,6 +281,7 @@ TURNS_STAGES = (
     Stage(3.0, 10.0, 5, dmp=5.0, rounds=4),
     Stage(10.0, 30.0, 5, dmp=15.0, rounds=4),
 )
+_POLISH = Walking(rounds=((3, 8, 40), (6, 8, 40), (8, 8, 40)))  # it walks already
 JOINT = Cio(
     "cio",
     "contact-invariant optimisation: states, foot forces and DMP at once",
@@ -295,5 +297,5 @@ POLISHED = Cio(
     "cio-shooting",
     "cio, then single shooting from there through the implicit contact",
     JOINT_STAGES,
-    polish=shooting.Shooting(name="cio-shooting"),
+    polish=shooting.Shooting(name="cio-shooting", walking=_POLISH),
 )

@@ -1,10 +1,10 @@
 """Single shooting of a walker's gaits: L-BFGS-B over w through the exact adjoint of the rollout.
 
 A gait that falls has no useful gradient, so that each stage begins with gaits that stay up that long:
-each task alone from random starts, then all tasks together while they are switched, over longer and
-longer sequences. A fall makes the objective jump by orders of magnitude, which ipopt takes for a fair
-price of a feasible point; so target shapes are bounded by a penalty here, and every iteration lowers
-the objective.
+each task alone from random starts, and soon all tasks together while they are switched, over longer
+and longer sequences: of two cycles first, so that every task learns to take over from every other. A
+fall makes the objective jump by orders of magnitude, which ipopt takes for a fair price of a feasible
+point; so target shapes are bounded by a penalty here, and every iteration lowers the objective.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ class Walking:
     """
 
     starts: int = 8
-    alone: tuple[tuple[int, int, int], ...] = ((2, 12, 4), (3, 25, 2), (5, 40, 1))
-    rounds: tuple[tuple[int, int, int], ...] = ((3, 8, 40), (6, 8, 40), (8, 8, 40))
+    alone: tuple[tuple[int, int, int], ...] = ((2, 12, 3), (3, 25, 1))
+    rounds: tuple[tuple[int, int, int], ...] = ((2, 16, 40), (4, 12, 40), (8, 8, 60))
     bound: float = 4.0
 
     def iterations(self, tasks: int, given: bool) -> int:
@@ -148,7 +148,7 @@ class Walking:
             method="L-BFGS-B",
             bounds=np.stack([-bound, bound], 1),
             callback=tell,
-            options={"maxiter": iterations, "maxcor": _MEMORY},
+            options={"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": _MEMORY},
         )
         return np.concatenate([w0[:n], scale * found.x]), {
             "objective": float(found.fun),

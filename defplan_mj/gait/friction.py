@@ -10,13 +10,12 @@ from defplan_mj.dynamics.feet import MAX_FEET, Feet
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import GROUND, pack_terrain
 from defplan_mj.errors import DefplanError
+from defplan_mj.gait.footing import SOLE
 from defplan_mj.kernel.contact_points import contact_points
-
-LEGS = 0.30  # share of the undeformed height below which contacts are looked at
 
 
 class Sliding:
-    """How far the loaded contacts of a body slide on level ground z = 0, as a CasADi expression."""
+    """How far the loaded soles of a body slide on level ground z = 0, as a CasADi expression."""
 
     def __init__(self, dynamics: ReducedDynamics):
         """Take dynamics with level ground.
@@ -29,7 +28,7 @@ class Sliding:
             raise DefplanError("gaits that are not to slide are optimised on level ground")
         points = contact_points(body)
         height = body.vertices[body.surface[points], 2]
-        low = body.surface[points[height < height.min() + LEGS * np.ptp(body.vertices[:, 2])]]
+        low = body.surface[points[height < height.min() + SOLE * np.ptp(body.vertices[:, 2])]]
         groups = [low[i : i + MAX_FEET] for i in range(0, len(low), MAX_FEET)]
         feet = [Feet(tuple(group[:, None])) for group in groups]
         self._places = [CasadiDynamics(dynamics.with_feet(some)).feet for some in feet]
