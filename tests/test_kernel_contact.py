@@ -19,7 +19,8 @@ from kernel_cases import (
     synthetic_body,
 )
 
-from defplan_mj.body.model import Medium
+from defplan_mj.body.build import build_body
+from defplan_mj.body.model import Body, Medium
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.feet import Feet, lowest_feet
 from defplan_mj.dynamics.full_fem import FullFem
@@ -28,6 +29,8 @@ from defplan_mj.dynamics.terrain import Heightfield, Terrain, TerrainGeom, pack_
 from defplan_mj.errors import DefplanError
 from defplan_mj.kernel.contact_points import contact_points, shape_coordinates
 from defplan_mj.kernel.library import kernel
+from defplan_mj.task import BodyOptions
+from defplan_tasks.swimming import ASSETS
 
 G = 9.81
 AIR = Medium(name="air", density=0.0, gravity=-G, righting_height=0.0)
@@ -428,60 +431,89 @@ def test_forces_on_the_feet_that_carry_the_weight_hold_the_body_as_contact_does(
 # --- against the full FEM
 
 
-def test_a_falling_body_follows_the_full_fem_with_the_same_contact(small_walker):
+@pytest.fixture(scope="module")
+def supple_walker() -> Body:
+    """Return `small_walker` with 12 modes: braking bends its legs beyond the first 6."""
+    options = BodyOptions(
+        vertices=450, modes=12, basis=40, samples=16, patches=4, amplitude=1.0, medium=AIR
+    )
+    return build_body(ASSETS / "quadruped.obj", options, name="supple walker")
+
+
+@pytest.mark.parametrize(
+    ("walker", "speed", "centre", "shape"),
+    [("small_walker", 0.0, 0.01, 0.005), ("supple_walker", 1.0, 0.01, 0.006)],
+    ids=["dropped", "thrown"],
+)
+def test_a_body_in_contact_follows_the_full_fem(walker, speed, centre, shape, request):
+    body = request.getfixturevalue(walker)
     terrain = Terrain(slip_speed=0.05)
-    reduced = ReducedDynamics(small_walker, H, terrain)
-    full = FullFem(small_walker, H, drag=False, terrain=terrain)
+    reduced = ReducedDynamics(body, H, terrain)
+    full = FullFem(body, H, drag=False, terrain=terrain)
     x0 = reduced.rest_state()
-    r = small_walker.n_modes
-    x0[7 : 7 + r], x0[2] = 0.0, 0.1 - small_walker.vertices[:, 2].min()
+    r = body.n_modes
+    x0[7 : 7 + r], x0[2] = 0.0, 0.1 - body.vertices[:, 2].min()
+    x0[7 + r] = speed
     target = np.zeros((16, r))
     states = reduced.rollout(x0, target)
-    start = small_walker.vertices + x0[:3]
-    path = full.rollout(start, start, target)
-    mass = small_walker.vertex_mass / small_walker.mass
-    centres = np.einsum("v,nvi->ni", mass, path)
-    landed = [len(reduced.contacts(x).points) for x in states]
-    assert max(landed) > 2
-    np.testing.assert_allclose(states[:, :3], centres, atol=0.02 * small_walker.length)
+    start = body.vertices + x0[:3]
+    path = full.rollout(start, start - H * x0[7 + r : 10 + r], target)
+    centres = np.einsum("v,nvi->ni", body.vertex_mass / body.mass, path)
+    assert max(len(reduced.contacts(x).points) for x in states) > 2
+    np.testing.assert_allclose(states[:, :3], centres, atol=centre * body.length)
+    if speed:  # it slides, and is braked
+        assert centres[-1, 0] - centres[0, 0] < 0.4 * speed * len(target) * H
     bent = np.array([reduced.surface(x) - x[:3] for x in states])
-    truth = path[:, small_walker.surface] - centres[:, None]
+    truth = path[:, body.surface] - centres[:, None]
     swing = np.abs(truth - truth[0]).max()
     error = np.sqrt(((bent - truth) ** 2).sum(2).mean(1)).max()
-    assert error < 0.03 * small_walker.length
+    assert error < shape * body.length
     assert swing > error
 
 
 # --- robustness
 
 
-def shake(dynamics: ReducedDynamics, steps: int, seed: int) -> None:
-    """Vigorous random gaits from falls at any attitude: every solve must succeed."""
-    rng, r, run = np.random.default_rng(seed), dynamics.body.n_modes, 500
+def gaits(rng: np.random.Generator, amplitude: np.ndarray, steps: int) -> np.ndarray:
+    """Each mode swings through 20% to 100% of its amplitude, 1 to 3 times in 23 steps."""
+    r = len(amplitude)
+    rate = rng.integers(1, 4, r) * 2 * np.pi / 23
+    phase, size = rng.uniform(0, 2 * np.pi, r), rng.uniform(0.2, 1.0, r)
+    return amplitude * size * np.sin(np.arange(steps)[:, None] * rate + phase)
+
+
+def jumps(rng: np.random.Generator, amplitude: np.ndarray, steps: int) -> np.ndarray:
+    """Every step each mode's target is at one end or the other of its amplitude, with 10% noise."""
+    size = (steps, len(amplitude))
+    return amplitude * (rng.choice([-1.0, 1.0], size) + 0.1 * rng.normal(size=size))
+
+
+def shake(dynamics: ReducedDynamics, steps: int, seed: int, inputs, run: int = 500) -> None:
+    """Falls from 1 m at any attitude, with 1 m/s and 1 rad/s, then `inputs`: every solve must succeed."""
+    rng, r = np.random.default_rng(seed), dynamics.body.n_modes
     for _ in range(steps // run):
         x0 = np.zeros(dynamics.nx)
         x0[2], x0[3:7] = 1.0, random_quaternion(rng)
         x0[7 + r : 13 + r] = rng.normal(size=6)
-        rate = rng.integers(1, 4, r) * 2 * np.pi / 23
-        phase, size = rng.uniform(0, 2 * np.pi, r), rng.uniform(0.2, 1.0, r)
-        u = dynamics.body.amplitude * size * np.sin(np.arange(run)[:, None] * rate + phase)
-        states, failed = dynamics.rollout_count(x0, u)
+        states, failed = dynamics.rollout_count(x0, inputs(rng, dynamics.body.amplitude, run))
         assert failed == 0
         assert np.isfinite(states).all()
 
 
-def test_no_solve_fails_under_vigorous_random_gaits(small_walker):
-    shake(ReducedDynamics(small_walker, H, Terrain()), 3000, 0)
+@pytest.mark.parametrize("inputs", [gaits, jumps])
+def test_no_solve_fails_under_vigorous_random_motion(small_walker, inputs):
+    shake(ReducedDynamics(small_walker, H, Terrain()), 3000, 1, inputs)
 
 
 def test_no_solve_fails_on_rough_ground(small_walker):
     ground = mixed_terrain(np.random.default_rng(0))
-    shake(ReducedDynamics(small_walker, H, ground), 1500, 1)
+    shake(ReducedDynamics(small_walker, H, ground), 1500, 1, gaits)
 
 
 @pytest.mark.slow
-def test_a_million_steps_of_vigorous_random_gaits_never_fail(small_walker):
-    shake(ReducedDynamics(small_walker, H, Terrain()), 1_000_000, 2)
+@pytest.mark.parametrize(("inputs", "steps"), [(gaits, 1_000_000), (jumps, 200_000)])
+def test_a_million_steps_of_vigorous_random_motion_never_fail(small_walker, inputs, steps):
+    shake(ReducedDynamics(small_walker, H, Terrain()), steps, 2, inputs)
 
 
 def test_contact_points_reach_as_far_as_the_surface_for_any_attitude(small_walker):

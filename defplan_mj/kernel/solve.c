@@ -1,7 +1,9 @@
 /* The Newton solve of a step, single steps and rollouts. */
 #include "work.h"
 
+static const double PI = 3.14159265358979323846;
 static const double MAX_TURN = .7; /* rad or units of q in one Newton step */
+enum { PATH_STEPS = 4000 };         /* of a continuation: a few hundred is usual */
 
 static void move(Work* w, const Config* from, const double* q_from, const double* step, double alpha) {
   Config* now = &w->now;
@@ -135,95 +137,109 @@ static int solve_lagged(Work* w, int rounds, dp_info* info) {
   return 0;
 }
 
-/* Gradient and Hessian where friction is `share` of what it is, and its derivative by the share: both
- * are linear in it. */
-static void assemble_share(Work* w, double share, double* by_share) {
+/* Gradient and Hessian of share * (the step's equations) + (1 - share) * scale * (way from the last
+ * configuration), and the gradient's derivative by the share. The way's Hessian is that of |way|^2 / 2 in
+ * the increment: symmetric like E's, since where the sum is zero the two skew parts cancel. */
+static void assemble_share(Work* w, const double* scale, double share, double* by_share) {
   const int n = 6 + w->body->r;
-  double g[MAX_N], H[MAX_N * MAX_N];
-  w->friction = 0;
+  const Config *one = &w->one, *now = &w->now;
+  const double back[4] = {one->quat[0], -one->quat[1], -one->quat[2], -one->quat[3]};
+  double way[MAX_N], turn[4], J[9];
+  quat_mul(now->quat, back, turn);
+  quat_log(turn, way + 3);
+  if (turn[0] < 0) { /* beyond half a turn: go on, where the logarithm would change sides */
+    const double angle = sqrt(dot3(way + 3, way + 3));
+    for (int i = 3; i < 6; i++) way[i] *= 1 - 2 * PI / angle;
+  }
+  so3_left_jacobian(way + 3, 1, J);
+  for (int i = 0; i < 3; i++) way[i] = now->c[i] - one->c[i];
+  for (int c = 0; c < w->body->r; c++) way[6 + c] = w->q_now[c] - one->q[c];
   work_assemble(w);
-  memcpy(g, w->g, sizeof(double) * n), memcpy(H, w->H, sizeof(double) * n * n);
-  w->friction = w->terrain.friction;
-  work_assemble(w);
-  for (int i = 0; i < n; i++) by_share[i] = w->g[i] - g[i], w->g[i] = g[i] + share * by_share[i];
-  for (int i = 0; i < n * n; i++) w->H[i] = H[i] + share * (w->H[i] - H[i]);
+  for (int i = 0; i < n; i++) {
+    double* row = w->H + i * n;
+    by_share[i] = w->g[i] - scale[i] * way[i], w->g[i] = scale[i] * way[i] + share * by_share[i];
+    for (int j = 0; j < n; j++) row[j] *= share;
+    if (i < 3 || i > 5) row[i] += (1 - share) * scale[i];
+    else
+      for (int j = 0; j < 3; j++) row[3 + j] += (1 - share) * scale[i] * .5 * (J[3 * (i - 3) + j] + J[3 * j + i - 3]);
+  }
 }
 
 /* Factors of the Hessian bordered by the derivative by the share (last column) and `row` (last row). */
-static int border(const Work* w, const double* by_share, const double* row, double* A, int* pivot) {
+static int border(const Work* w, const double* by_share, const double* row, double* A, int* pivot, int* sign) {
   const int n = 6 + w->body->r, m = n + 1;
-  int sign;
   for (int i = 0; i < n; i++) {
     memcpy(A + i * m, w->H + i * n, sizeof(double) * n);
     A[i * m + n] = by_share[i];
   }
   memcpy(A + n * m, row, sizeof(double) * m);
-  return lu(A, m, pivot, &sign);
+  return lu(A, m, pivot, sign);
 }
 
-/* Follow the solutions from no friction to all of it, by the length of their path: friction may have
- * to fall on the way for a while, where the path folds (pseudo-arclength continuation). */
+/* Follow the solutions from where the body is (share 0, whose only solution that is) to the step's (share
+ * 1), by the length of their path, since it may fold. Inertia and stiffness grow with the way, friction works
+ * against it: the path stays bounded, cannot come back to share 0 and so arrives, whatever the step
+ * (fixed-point homotopy: Chow, Mallet-Paret, Yorke, 1978). */
 static int solve_path(Work* w, dp_info* info) {
   const int n = 6 + w->body->r;
-  double A[(MAX_N + 1) * (MAX_N + 1)], by_share[MAX_N], tangent[MAX_N + 1] = {0}, rhs[MAX_N + 1], move_by[MAX_N + 1];
-  int pivot[MAX_N + 1];
-  double share = 0, length = .1;
-  dp_info minimum = {0, 0, 0, 0};
-  w->friction = 0;
-  minimise(w, &minimum);
-  info->iterations += minimum.iterations;
+  double scale[MAX_N], A[(MAX_N + 1) * (MAX_N + 1)], by_share[MAX_N];
+  double tangent[MAX_N + 1] = {0}, rhs[MAX_N + 1], move_by[MAX_N + 1], share = 0, length = .1;
+  int pivot[MAX_N + 1], sign;
   info->attempts++;
+  move(w, &w->one, w->one.q, tangent, 0);
+  w->friction = 0;
+  work_assemble(w);
+  w->friction = w->terrain.friction;
+  for (int i = 0; i < n; i++) scale[i] = fabs(w->H[i * n + i]);
+  scale[3] = scale[4] = scale[5] = fmax(scale[3], fmax(scale[4], scale[5])); /* no axis is special */
   tangent[n] = 1;
   Saved last;
-  int found = 0;
-  for (int k = 0; k < 600 && length > 1e-9; k++) {
+  for (int k = 0; k < PATH_STEPS; k++) {
     save(w, &last);
-    assemble_share(w, share, by_share);
-    /* the path's direction, on from the last one */
+    assemble_share(w, scale, share, by_share);
+    /* onwards is where the bordered matrix keeps its sign, also round the kinks where a point touches */
     memset(rhs, 0, sizeof rhs), rhs[n] = 1;
-    if (!border(w, by_share, tangent, A, pivot)) break;
+    if (!border(w, by_share, tangent, A, pivot, &sign)) return 0;
     lu_solve(A, pivot, n + 1, rhs, tangent);
-    const double norm = 1 / sqrt(inner(tangent, tangent, n + 1));
+    const double norm = sign / sqrt(inner(tangent, tangent, n + 1));
     for (int i = 0; i <= n; i++) tangent[i] *= norm;
-    for (; length > 1e-9; length *= .4) {
+    for (int close = 0; !close; length *= close ? 1 : .4) {
+      if (length < 1e-9) return 0;
       double at = share + length * tangent[n];
-      int corrections = 0, close = 0;
+      int corrections = 0;
       for (int i = 0; i < n; i++) move_by[i] = -tangent[i];
       move(w, &last.at, last.q, move_by, length);
-      while (!close && corrections++ < 5) {
-        info->iterations += 2;
-        assemble_share(w, at, by_share);
+      while (!close && corrections++ < 8) {
+        info->iterations++;
+        assemble_share(w, scale, at, by_share);
         memcpy(rhs, w->g, sizeof(double) * n), rhs[n] = 0;
-        if (!border(w, by_share, tangent, A, pivot)) break;
+        if (!border(w, by_share, tangent, A, pivot, &sign)) break;
         lu_solve(A, pivot, n + 1, rhs, move_by);
         double largest = 0;
         for (int i = 0; i <= n; i++) largest = fmax(largest, fabs(move_by[i]));
-        if (!(largest < .5 * length)) break; /* another branch is not meant */
+        at -= move_by[n];
+        /* no other branch is meant; a long step that turns round has met one */
+        if (!(largest < .5 * length && at >= 0 && (sign > 0 || length < 1e-3))) break;
         Config from = w->now;
         double q_from[DP_MAX_MODES];
         memcpy(q_from, w->q_now, sizeof q_from);
-        move(w, &from, q_from, move_by, 1), at -= move_by[n];
+        move(w, &from, q_from, move_by, 1);
         close = largest < 1e-6;
       }
       if (close && at >= 1) { /* past the end: the solution is near */
         Saved beyond;
         save(w, &beyond);
-        w->friction = w->terrain.friction;
         if (newton(w, 20, info)) return 1;
-        if (length < 1e-3) restore(w, &beyond);
-        else close = 0;
+        restore(w, &beyond);
+        close = length < 1e-3;
       }
-      if (close) {
-        share = at, found = 1;
-        if (corrections <= 3) length *= 2;
-        break;
+      if (!close) restore(w, &last);
+      else {
+        share = at;
+        if (corrections <= 5) length = fmin(2 * length, .2);
       }
-      restore(w, &last);
     }
-    if (!found || share < -.05) break;
-    found = 0;
   }
-  w->friction = w->terrain.friction;
   return 0;
 }
 
@@ -231,8 +247,7 @@ static int solve_path(Work* w, dp_info* info) {
 static int solve_contact(Work* w, dp_info* info) {
   const int limit = (int)w->par[DP_MAX_NEWTON];
   work_assemble(w);
-  Saved free, start;
-  save(w, &free);
+  Saved start;
   if (w->m) { /* the free motion leads into the ground: stay */
     const double none[MAX_N] = {0};
     move(w, &w->one, w->one.q, none, 0);
@@ -243,11 +258,6 @@ static int solve_contact(Work* w, dp_info* info) {
   if (newton(w, limit, info)) return 1;
   restore(w, &start);
   if (solve_lagged(w, 4, info)) return 1;
-  restore(w, &start);
-  if (solve_path(w, info)) return 1;
-  restore(w, &free);
-  if (solve_lagged(w, 4, info)) return 1;
-  restore(w, &free);
   return solve_path(w, info);
 }
 
