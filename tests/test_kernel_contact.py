@@ -30,7 +30,7 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.kernel.contact_points import contact_points, shape_coordinates
 from defplan_mj.kernel.library import kernel
 from defplan_mj.task import BodyOptions
-from defplan_tasks.swimming import ASSETS
+from defplan_tasks.environments import ASSETS
 
 G = 9.81
 AIR = Medium(name="air", density=0.0, gravity=-G, righting_height=0.0)
