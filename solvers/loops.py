@@ -10,9 +10,9 @@ from defplan_mj.task import Navigation
 from defplan_solvers.odometry import Odometry
 from defplan_solvers.outlook import Outlook
 
-VISIT = 2.0
+VISIT = 3.0
 """What it costs a gait to lead to where the robot was before, for each time, in values of a cycle."""
-SAME = 0.6
+SAME = 0.8
 """Poses so many cycles apart count 1/e as the same."""
 
 

@@ -9,7 +9,7 @@ from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate_env import SUCCESS, SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.greedy import GreedyPlanner
-from defplan_solvers.loops import VISIT, LoopBreaker
+from defplan_solvers.loops import SAME, VISIT, LoopBreaker
 from defplan_solvers.odometry import Odometry
 
 NAVIGATION = Navigation()
@@ -47,8 +47,8 @@ def test_on_a_straight_way_the_order_of_the_other_gaits_stays_and_going_back_cos
     for i in range(10):
         cost = lowered(loops, [20 - 0.4 * i, 0.0])
         loops.odometry.chose(FORWARD)
-    assert np.isclose(cost[BACK], VISIT * (1 + 2 * np.exp(-1 / 0.36)), atol=0.01)
-    assert np.isclose(cost[LEFT], cost[RIGHT]) and cost[FORWARD] < cost[LEFT] < 0.1 * cost[BACK]
+    assert np.isclose(cost[BACK], VISIT * (1 + 2 * np.exp(-1 / SAME**2)), atol=0.01)
+    assert np.isclose(cost[LEFT], cost[RIGHT]) and cost[FORWARD] < cost[LEFT] < 0.25 * cost[BACK]
 
 
 def test_every_time_more_a_place_was_visited_it_costs_more():

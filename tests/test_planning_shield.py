@@ -120,6 +120,20 @@ def test_a_wall_ahead_devalues_the_gait_that_swims_into_it():
     assert values[0] < values[1:].min()
 
 
+@BOTH
+def test_points_out_of_reach_have_no_say(navigation, surrogate):
+    shield = Shield(Stubborn(0), surrogate, navigation)
+    everything = Shield(Stubborn(0), surrogate, navigation)
+    everything.reach = np.inf
+    generator, decided = np.random.default_rng(1), 0
+    for spread in np.repeat([1.5, 2.5, 4.0, 8.0], 15):
+        points = generator.uniform(-spread, spread, (20, navigation.dimension))
+        safe = shield.safe(points)
+        assert np.array_equal(safe, everything.safe(points))
+        decided += not safe.all()
+    assert decided >= 10
+
+
 def test_the_planner_is_told_what_is_safe_and_so_what_is_done():
     pilot = Stubborn(3, 1, 2)
     shield = Shield(pilot, samples.surrogate(), NAVIGATION)

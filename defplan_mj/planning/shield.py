@@ -44,6 +44,8 @@ class Shield:
         self.radius, self.navigation = surrogate.radius, navigation
         deepest = max(depth for depth, _ in levels)
         self.tree = MotionTree(surrogate.motions(navigation.space), deepest)
+        farthest = float(np.linalg.norm(self.tree.end, axis=1).max())
+        self.reach = farthest + self.radius + max(margin for _, margin in levels)
 
     def reset(self) -> None:
         """Reset the wrapped planner."""
@@ -58,6 +60,9 @@ class Shield:
     def safe(self, points: np.ndarray) -> np.ndarray:
         """Return (K,) which gaits are safe among the (p, d) points, at least one of them."""
         gaits = self.tree.gaits
+        points = points[
+            np.einsum("pd,pd->p", points, points) <= self.reach**2
+        ]  # others say nothing
         if not len(points):
             return np.ones(gaits, bool)
         from_start, from_end, from_way = self.tree.distances2(points)
