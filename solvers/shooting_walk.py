@@ -19,12 +19,14 @@ from scipy.optimize import OptimizeResult, minimize
 
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.gait.switching import roll_cycles, tilt
 from defplan_mj.task import Progress
 
 _SCALES = 1.0, 0.15  # of the unknowns alpha and beta
 _PENALTY = 5.0  # of the mean squared excess of target shapes
 _FAILED = 1e3  # objective where a step does not converge: more than any fall's
 _MEMORY = 20  # pairs of L-BFGS
+_WALK = 300  # cycles that the hardest sequences are taken from
 
 
 @dataclass
@@ -49,13 +51,17 @@ class Walking:
     Attributes:
         starts: random starts of each task alone.
         alone: (cycles of the walk, limit of iterations, starts that go on) of each task alone.
-        rounds: (cycles of a sequence, sequences, limit of iterations) of all tasks.
+        rounds: (cycles of a sequence, sequences, limit of iterations) of all tasks; after the first,
+            half of the sequences are those that the gaits so far tilt most in.
         bound: of alpha and beta.
     """
 
     starts: int = 8
     alone: tuple[tuple[int, int, int], ...] = ((2, 12, 3), (3, 25, 1))
-    rounds: tuple[tuple[int, int, int], ...] = ((2, 16, 40), (4, 12, 40), (8, 8, 60))
+    rounds: tuple[tuple[int, int, int], ...] = (
+        *((2, 16, 40), (4, 12, 40)),
+        *((6, 12, 30), (6, 12, 30), (6, 12, 30)),
+    )
     bound: float = 4.0
 
     def iterations(self, tasks: int, given: bool) -> int:
@@ -85,7 +91,8 @@ class Walking:
             w = problem.join(mu[0], np.array(alphas), np.array(betas))
         for number, (cycles, count, iterations) in enumerate(self.rounds):
             trace.message = f"gait: all tasks, round {number + 1} of {len(self.rounds)}"
-            sequences = solvable(problem, w, cycles, count, rng)
+            hard = [] if number == 0 else hardest(problem, w, cycles, count // 2, rng)
+            sequences = hard + solvable(problem, w, cycles, count - len(hard), rng)
             if not sequences:
                 raise DefplanError(
                     f"the gaits of {problem.dynamics.body.name} cannot be simulated over {cycles}"
@@ -157,6 +164,24 @@ class Walking:
             "status": str(found.message),
             "seconds": time.perf_counter() - began,
         }
+
+
+def hardest(
+    problem: GaitProblem, w: np.ndarray, cycles: int, count: int, rng: np.random.Generator
+) -> list[list[int]]:
+    """Return at most `count` sequences of tasks after which the walker tilts most, of a long walk at w."""
+    dynamics, table = problem.dynamics, problem.gait(w, {}).table()
+    task = rng.integers(problem.n_tasks, size=_WALK)
+    states, _ = roll_cycles(dynamics, table[task])
+    found: dict[int, list[int]] = {}
+    for last in np.argsort(-tilt(states).max(1), kind="stable"):
+        sequence = [int(j) for j in task[max(0, last + 1 - cycles) : last + 1]]
+        near = any(abs(last - other) < cycles / 2 for other in found)
+        if len(found) < count and len(sequence) == cycles and not near:
+            shapes = table[sequence].reshape(-1, dynamics.nu)
+            if not dynamics.rollout_count(dynamics.rest_state(), shapes)[1]:
+                found[int(last)] = sequence
+    return list(found.values())
 
 
 def solvable(

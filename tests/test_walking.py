@@ -20,7 +20,7 @@ from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import evaluate_switching, measure_cycles
 from defplan_mj.kernel.contact_points import contact_points
 from defplan_solvers.shooting import Shooting
-from defplan_solvers.shooting_walk import Walking
+from defplan_solvers.shooting_walk import Walking, hardest
 from defplan_tasks import environments, quadruped, tee, walking
 
 SPECS = {"quadruped": quadruped.WALK, "tee": tee.WALK}
@@ -177,6 +177,16 @@ def test_a_seed_gives_one_gait_to_the_bit(problem: GaitProblem, gait: Gait) -> N
     again = QUICK.solve(problem, seed=0)
     for name in ("mu", "alpha", "beta"):
         np.testing.assert_array_equal(getattr(again, name), getattr(gait, name))
+
+
+def test_the_hardest_sequences_end_where_the_walker_tilts_most(
+    problem: GaitProblem, gait: Gait
+) -> None:
+    still = dataclasses.replace(gait, alpha=gait.alpha * np.array([0.0, 1.0])[:, None, None])
+    assert measure_cycles(problem, still, np.ones(8, int)).tilt.min() > 1e-2  # stands, or walks
+    hard = hardest(problem, problem.w_of(still), 4, 8, np.random.default_rng(0))
+    assert len(hard) == 8
+    assert all(len(sequence) == 4 and sequence[-1] == 1 for sequence in hard)
 
 
 def test_a_walker_that_comes_down_stands_up_for_the_next_cycle(
