@@ -19,6 +19,7 @@ from defplan_mj.task import BodyOptions
 from defplan_solvers.open_loop import SOLVER as NONE
 
 ASSETS = Path(__file__).parents[1] / "tasks" / "assets"
+GAITS = {"quadruped": "quadruped_walker", "tee": "tee"}
 AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
 
 
@@ -107,6 +108,23 @@ def test_pushes_and_switches_are_the_same_for_each_feedback(fish_dynamics, gait)
     assert not (first.motion == other.motion).all()
     held = walk(fish_dynamics, gait, registry.get_solver("ilqg", "feedback"), CALM, 6, 3)
     assert (held.task == first.task).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["quadruped", "tee"])
+def test_a_walker_that_is_struck_falls_no_more_often_with_feedback_and_keeps_its_course(name):
+    spec = registry.get_task(f"{name}-walk")
+    gait = Gait.load(ASSETS / f"{GAITS[name]}_gait.npz")
+    body = Body.load(ASSETS / f"{GAITS[name]}_body.npz")
+    dynamics = ReducedDynamics(body, gait.timestep, spec.terrain)
+    solvers = [NONE, registry.get_solver("ilqg", "feedback")]
+    wanted = [CALM, Condition("pushed", push=0.3), Condition("struck", push=1.2)]
+    rows = measure(dynamics, gait, solvers, wanted, cycles=100)
+    for alone, held in zip(rows[::2], rows[1::2], strict=True):
+        assert held["falls"] <= alone["falls"]
+        assert held["turn_rad"] < 0.5 * alone["turn_rad"]
+        assert held["place_m"] < alone["place_m"]
+    assert rows[1]["falls"] == 0 and rows[4]["falls"] > 0  # struck hard enough to tell
 
 
 def test_drift_is_what_cycles_are_off_from_the_expected_ones():
