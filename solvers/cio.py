@@ -23,6 +23,7 @@ from defplan_solvers.cio_terms import Weights
 from defplan_solvers.shooting_walk import Walking
 
 _DAMPING = 1e-2
+_GENTLE = 0.4  # wanted of a cycle at first if it is polished, lengths of the body
 
 
 @dataclass(frozen=True)
@@ -102,12 +103,14 @@ class Cio:
         """
         began = time.perf_counter()
         rng = np.random.default_rng(seed)
-        walker = walker_of(problem)
         share = 0.5 if self.polish else 1.0
+        # a fast gait is polished from a slow one: fast ones that are found alone do not go together
+        first = problem.at_most(_GENTLE * problem.dynamics.body.length) if self.polish else problem
+        walker = walker_of(first)
         if self.joint:
-            trial = self._joint(walker, problem, self.patterns, rng, progress, share)
+            trial = self._joint(walker, first, self.patterns, rng, progress, share)
         else:
-            trial = self._by_turns(walker, problem, self.patterns, rng, progress)
+            trial = self._by_turns(walker, first, self.patterns, rng, progress)
         w = trial.w
         meta = {
             "solver": self.name,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from dm_control.utils import containers
 
@@ -78,6 +80,14 @@ WALK = walking.walk_spec(
         "translation_mean": (1.963, 0.67, 0.93, 1.64),
         "translation_sd": (0.269, 0.127, 0.165, 0.305),
     },
+)
+
+RUN = dataclasses.replace(
+    WALK,
+    name="quadruped-run",
+    description="the 4-legged walker at 1 m a cycle: fast gaits, which fall without feedback",
+    gait_tasks=walking.walking_tasks(1.0),
+    weights=dataclasses.replace(walking.WEIGHTS, slip=0.1),
 )
 
 SUITE = containers.TaggedTasks()

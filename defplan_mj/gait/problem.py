@@ -7,6 +7,7 @@ cycles, each of one task, and E_obj adds up over its cycles.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import casadi as ca
@@ -95,9 +96,22 @@ class GaitProblem:
 
     def alone(self, task: int) -> GaitProblem:
         """Return the problem of one task only."""
+        return self._with([self.tasks[task]])
+
+    def at_most(self, advance: float) -> GaitProblem:
+        """Return the problem whose tasks want no longer displacement of a cycle than `advance`, m."""
+        if all(task.advance <= advance for task in self.tasks):
+            return self
+        shares = [min(1.0, advance / (task.advance or 1.0)) for task in self.tasks]
+        moves = [np.multiply(s, t.move) for s, t in zip(shares, self.tasks, strict=True)]
+        return self._with(
+            [replace(t, move=tuple(m.tolist())) for t, m in zip(self.tasks, moves, strict=True)]
+        )
+
+    def _with(self, tasks: Sequence[GaitTask]) -> GaitProblem:
         steps = self.cycles * self.steps_per_cycle
         return GaitProblem(
-            *(self.dynamics, [self.tasks[task]], self.steps_per_cycle, steps, self.elements),
+            *(self.dynamics, tasks, self.steps_per_cycle, steps, self.elements),
             space=self.space,
             weights=self.weights,
             axis=self.axis,
