@@ -88,6 +88,7 @@ RUN = dataclasses.replace(
     description="the 4-legged walker at 1 m a cycle: fast gaits, which fall without feedback",
     gait_tasks=walking.walking_tasks(1.0),
     weights=dataclasses.replace(walking.WEIGHTS, slip=0.1),
+    feedback="ilqg",
 )
 
 SUITE = containers.TaggedTasks()

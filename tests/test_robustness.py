@@ -19,7 +19,11 @@ from defplan_mj.task import BodyOptions
 from defplan_solvers.open_loop import SOLVER as NONE
 
 ASSETS = Path(__file__).parents[1] / "tasks" / "assets"
-GAITS = {"quadruped": "quadruped_walker", "tee": "tee"}
+PACKAGED = {
+    "quadruped-walk": ("quadruped_walker_body", "quadruped_walker_gait"),
+    "quadruped-run": ("quadruped_walker_body", "quadruped_run_gait"),
+    "tee-walk": ("tee_body", "tee_gait"),
+}
 AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
 
 
@@ -111,12 +115,11 @@ def test_pushes_and_switches_are_the_same_for_each_feedback(fish_dynamics, gait)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["quadruped", "tee"])
+@pytest.mark.parametrize("name", PACKAGED)
 def test_a_walker_that_is_struck_falls_no_more_often_with_feedback_and_keeps_its_course(name):
-    spec = registry.get_task(f"{name}-walk")
-    gait = Gait.load(ASSETS / f"{GAITS[name]}_gait.npz")
-    body = Body.load(ASSETS / f"{GAITS[name]}_body.npz")
-    dynamics = ReducedDynamics(body, gait.timestep, spec.terrain)
+    spec, (body, gait) = registry.get_task(name), PACKAGED[name]
+    gait = Gait.load(ASSETS / f"{gait}.npz")
+    dynamics = ReducedDynamics(Body.load(ASSETS / f"{body}.npz"), gait.timestep, spec.terrain)
     solvers = [NONE, registry.get_solver("ilqg", "feedback")]
     wanted = [CALM, Condition("pushed", push=0.3), Condition("struck", push=1.2)]
     rows = measure(dynamics, gait, solvers, wanted, cycles=100)

@@ -78,14 +78,19 @@ def test_what_tasks_want_can_be_held_back(problem):
         np.testing.assert_allclose(task.direction, before.direction)
         assert task.turn == before.turn
     assert problem.at_most(0.4) is problem and slow.at_most(0.2) is slow
-    assert (slow.weights, slow.space, slow.cycles) == (problem.weights, problem.space, problem.cycles)
+    assert (slow.weights, slow.space, slow.cycles) == (
+        problem.weights,
+        problem.space,
+        problem.cycles,
+    )
 
 
 def test_the_fast_task_is_the_walk_but_for_what_it_wants_and_may_slide():
     run, walk = registry.get_task("quadruped-run"), quadruped.WALK
     assert [task.advance for task in run.gait_tasks] == [1.0] * 4
     assert run.weights.slip < walk.weights.slip
-    changed = {"name", "description", "gait_tasks", "weights"}
+    assert (run.feedback, walk.feedback) == ("ilqg", "none")
+    changed = {"name", "description", "gait_tasks", "weights", "feedback"}
     for field in dataclasses.fields(walk):
         assert field.name in changed or getattr(run, field.name) == getattr(walk, field.name)
 
