@@ -1,6 +1,6 @@
 """The T-shaped body (paper, second example): the task `tee-walk` and the suite domain `tee`.
 
-It walks with its bar down, on the bar's two ends, the stem up.
+It walks with its bar down, on the bar's ends and its middle by turns, the stem up.
 """
 
 from __future__ import annotations
