@@ -13,7 +13,7 @@ from defplan_tasks.painting import blend, rise, to_picture
 
 WALK = walking.walk_spec(
     "tee-walk",
-    "a T-shaped body walks on its bar's two ends to targets among upright cylinders",
+    "a T-shaped body walks on its bar to targets among upright cylinders",
     mesh="tee.obj",
     vertices=3121,
     gait_solver="shooting",  # contact-invariant optimisation does not make it walk

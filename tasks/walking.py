@@ -63,6 +63,7 @@ def walk_spec(
         weights=WEIGHTS,
         terrain=GROUND,
         gait_solver=gait_solver,
+        rivals=("cio", "cio-alternating"),  # what the paper walks by, all at once and by turns
         paper={
             "dof": 16,
             "k2": 10,
