@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -85,7 +86,11 @@ class Walking:
         """
         w, history, stages = start, [], []
         if w is None:
-            found = [self._alone(problem.alone(j), rng, trace) for j in range(problem.n_tasks)]
+            trace.message = "gait: each task alone"
+            alone = [problem.alone(j) for j in range(problem.n_tasks)]
+            starts = [[one.random_gait(rng) for _ in range(self.starts)] for one in alone]
+            with ThreadPoolExecutor(threads) as pool:  # CasADi lets other threads run meanwhile
+                found = list(pool.map(lambda *of: self._alone(*of, trace), alone, starts))
             stages = [stage for *_, stage in found]
             mu, alphas, betas, _ = zip(*found, strict=True)
             w = problem.join(mu[0], np.array(alphas), np.array(betas))
@@ -104,12 +109,10 @@ class Walking:
         return w, history, stages
 
     def _alone(
-        self, alone: GaitProblem, rng: np.random.Generator, trace: Trace
+        self, alone: GaitProblem, starts: Sequence[np.ndarray], trace: Trace
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict]:
         """Return mu (D, r), alpha, beta (D, r) and the last stage of one task's best start."""
-        name = alone.tasks[0].name
-        trace.message = f"gait: {name} alone"
-        trials = [(alone.random_gait(rng), {"objective": np.inf}) for _ in range(self.starts)]
+        trials = [(w, {"objective": np.inf}) for w in starts]
         for cycles, iterations, kept in self.alone:
             trials = [
                 self._minimise(alone, [[0] * cycles], w, iterations, trace, 1) for w, _ in trials
@@ -117,7 +120,7 @@ class Walking:
             trials = sorted(trials, key=lambda trial: trial[1]["objective"])[:kept]
         w, stage = trials[0]
         mu, alpha, beta = alone.split(w)
-        return mu, alpha[0], beta[0], stage | {"stage": f"{name} alone"}
+        return mu, alpha[0], beta[0], stage | {"stage": f"{alone.tasks[0].name} alone"}
 
     def _minimise(
         self,
