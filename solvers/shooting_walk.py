@@ -13,6 +13,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import repeat
 
 import casadi as ca
 import numpy as np
@@ -90,7 +91,7 @@ class Walking:
             alone = [problem.alone(j) for j in range(problem.n_tasks)]
             starts = [[one.random_gait(rng) for _ in range(self.starts)] for one in alone]
             with ThreadPoolExecutor(threads) as pool:  # CasADi lets other threads run meanwhile
-                found = list(pool.map(lambda *of: self._alone(*of, trace), alone, starts))
+                found = list(pool.map(self._alone, alone, starts, repeat(trace)))
             stages = [stage for *_, stage in found]
             mu, alphas, betas, _ = zip(*found, strict=True)
             w = problem.join(mu[0], np.array(alphas), np.array(betas))
