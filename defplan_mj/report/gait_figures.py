@@ -102,21 +102,27 @@ def strip_figure(
     if space == "spatial":
         rows["after cycles"] = [n * i for i in range(min(SHOWN, (len(states) - 1) // n + 1))]
     figure, grid = new_figure(4.6, 1.1 * len(rows) + 0.2, len(rows), 1)
-    rotation = view(-70, 12)
+    walks = dynamics.terrain is not None  # seen level, all standing feet are on the ground's line
+    rotation = view(-70, 0 if walks else 12)
     for axes, (label, chosen) in zip(grid[:, 0], rows.items(), strict=True):
-        gap = 1.25 * dynamics.body.length
-        for column, i in enumerate(chosen):
-            x = states[i]
-            points = dynamics.surface(x) - x[:3] + column * gap * rotation[0]
-            draw_surface(axes, points, surface_rows(dynamics.body), rotation)
+        bodies = [(dynamics.surface(states[i]) - states[i][:3]) for i in chosen]
+        if walks:
+            bodies = [body + [0, 0, states[i][2]] for body, i in zip(bodies, chosen, strict=True)]
+            axes.axhline(0, color=FAINT, lw=0.7)
+        seen = np.concatenate([body @ rotation.T for body in bodies])[:, :2]
+        low, high = seen.min(0), seen.max(0)
+        gap = 1.05 * (high - low)[0]
+        for column, (i, points) in enumerate(zip(chosen, bodies, strict=True)):
+            draw_surface(
+                axes, points + column * gap * rotation[0], surface_rows(dynamics.body), rotation
+            )
             number = i // n if label == "after cycles" else i - first
             axes.annotate(
-                str(number), (column * gap, 0), xytext=(0, -30), textcoords="offset points",
+                str(number), (column * gap, low[1]), xytext=(0, -4), textcoords="offset points",
                 ha="center", va="top", fontsize=7, color=FAINT,
             )  # fmt: skip
-        reach = 0.72 * dynamics.body.length
-        axes.set_xlim(-reach, (SHOWN - 1) * gap + reach)
-        axes.set_ylim(-reach, reach)
+        axes.set_xlim(low[0] - 0.05 * gap, high[0] + (SHOWN - 1) * gap + 0.05 * gap)
+        axes.set_ylim(low[1] - 0.3 * gap, high[1] + 0.05 * gap)
         axes.set_title(f"{gait.task_names[task]}, {label}", loc="left", fontsize=8)
     return figure
 
