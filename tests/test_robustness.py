@@ -121,7 +121,7 @@ def test_a_walker_that_is_struck_falls_no_more_often_with_feedback_and_keeps_its
     gait = Gait.load(ASSETS / f"{gait}.npz")
     dynamics = ReducedDynamics(Body.load(ASSETS / f"{body}.npz"), gait.timestep, spec.terrain)
     solvers = [NONE, registry.get_solver("ilqg", "feedback")]
-    wanted = [CALM, Condition("pushed", push=0.3), Condition("struck", push=1.2)]
+    wanted = [CALM, Condition("pushed", push=0.3), Condition("struck", push=1.8)]
     rows = measure(dynamics, gait, solvers, wanted, cycles=100)
     for alone, held in zip(rows[::2], rows[1::2], strict=True):
         assert held["falls"] <= alone["falls"]
