@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize
 
+from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.errors import DefplanError
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import roll_cycles, tilt
@@ -29,6 +30,7 @@ _PENALTY = 5.0  # of the mean squared excess of target shapes
 _FAILED = 1e3  # objective where a step does not converge: more than any fall's
 _MEMORY = 20  # pairs of L-BFGS
 _WALK = 300  # cycles that the hardest sequences are taken from
+_KEPT = 0.6  # chance that a task is kept on with
 
 
 @dataclass
@@ -55,6 +57,8 @@ class Walking:
         alone: (cycles of the walk, limit of iterations, starts that go on) of each task alone.
         rounds: (cycles of a sequence, sequences, limit of iterations) of all tasks; after the first,
             half of the sequences are those that the gaits so far tilt most in.
+        repeats: whether the sequences after the first round are also such in which tasks are kept
+            on with, as planners do: each task over and over, and hardest ones of long runs.
         bound: of alpha and beta.
     """
 
@@ -62,8 +66,9 @@ class Walking:
     alone: tuple[tuple[int, int, int], ...] = ((2, 12, 3), (3, 25, 1))
     rounds: tuple[tuple[int, int, int], ...] = (
         *((2, 16, 40), (4, 12, 40)),
-        *((6, 12, 30), (6, 12, 30), (6, 12, 30)),
+        *((6, 12, 30), (8, 12, 30), (12, 8, 30)),
     )
+    repeats: bool = True
     bound: float = 4.0
 
     def iterations(self, tasks: int, given: bool) -> int:
@@ -97,8 +102,8 @@ class Walking:
             w = problem.join(mu[0], np.array(alphas), np.array(betas))
         for number, (cycles, count, iterations) in enumerate(self.rounds):
             trace.message = f"gait: all tasks, round {number + 1} of {len(self.rounds)}"
-            hard = [] if number == 0 else hardest(problem, w, cycles, count // 2, rng)
-            sequences = hard + solvable(problem, w, cycles, count - len(hard), rng)
+            sequences = [] if number == 0 else self._chosen(problem, w, cycles, count, rng)
+            sequences += solvable(problem, w, cycles, count - len(sequences), rng)
             if not sequences:
                 raise DefplanError(
                     f"the gaits of {problem.dynamics.body.name} cannot be simulated over {cycles}"
@@ -122,6 +127,20 @@ class Walking:
         w, stage = trials[0]
         mu, alpha, beta = alone.split(w)
         return mu, alpha[0], beta[0], stage | {"stage": f"{alone.tasks[0].name} alone"}
+
+    def _chosen(
+        self, problem: GaitProblem, w: np.ndarray, cycles: int, count: int, rng: np.random.Generator
+    ) -> list[list[int]]:
+        """Return the sequences of a later round that are not random."""
+        if not self.repeats:
+            return hardest(problem, w, cycles, count // 2, rng)
+        table = problem.gait(w, {}).table()
+        kept = [
+            [j] * cycles
+            for j in range(problem.n_tasks)
+            if solves(problem.dynamics, table[[j] * cycles])
+        ]
+        return kept + hardest(problem, w, cycles, count // 2, rng, _KEPT)
 
     def _minimise(
         self,
@@ -171,20 +190,30 @@ class Walking:
 
 
 def hardest(
-    problem: GaitProblem, w: np.ndarray, cycles: int, count: int, rng: np.random.Generator
+    problem: GaitProblem,
+    w: np.ndarray,
+    cycles: int,
+    count: int,
+    rng: np.random.Generator,
+    kept: float = 0.0,
 ) -> list[list[int]]:
-    """Return at most `count` sequences of tasks after which the walker tilts most, of a long walk at w."""
+    """Return at most `count` sequences of tasks after which the walker tilts most, of a long walk at w.
+
+    A cycle has a random task, or, with the chance `kept`, that of the cycle before.
+    """
     dynamics, table = problem.dynamics, problem.gait(w, {}).table()
     task = rng.integers(problem.n_tasks, size=_WALK)
+    if kept:
+        for i in np.flatnonzero(rng.random(_WALK - 1) < kept):
+            task[i + 1] = task[i]
     states, _ = roll_cycles(dynamics, table[task])
     found: dict[int, list[int]] = {}
     for last in np.argsort(-tilt(states).max(1), kind="stable"):
         sequence = [int(j) for j in task[max(0, last + 1 - cycles) : last + 1]]
         near = any(abs(last - other) < cycles / 2 for other in found)
-        if len(found) < count and len(sequence) == cycles and not near:
-            shapes = table[sequence].reshape(-1, dynamics.nu)
-            if not dynamics.rollout_count(dynamics.rest_state(), shapes)[1]:
-                found[int(last)] = sequence
+        wanted = len(found) < count and len(sequence) == cycles and not near
+        if wanted and solves(dynamics, table[sequence]):
+            found[int(last)] = sequence
     return list(found.values())
 
 
@@ -197,9 +226,14 @@ def solvable(
     for _ in range(10 * count):
         first, rest = len(found) % problem.n_tasks, rng.integers(problem.n_tasks, size=cycles)
         sequence = [first, *(int(task) for task in rest[1:])]
-        shapes = table[sequence].reshape(-1, dynamics.nu)
-        if not dynamics.rollout_count(dynamics.rest_state(), shapes)[1]:
+        if solves(dynamics, table[sequence]):
             found.append(sequence)
         if len(found) == count:
             break
     return found
+
+
+def solves(dynamics: ReducedDynamics, cycles: np.ndarray) -> bool:
+    """Return whether every step of target shapes (cycles, steps, nu) from rest converges."""
+    shapes = cycles.reshape(-1, dynamics.nu)
+    return not dynamics.rollout_count(dynamics.rest_state(), shapes)[1]
