@@ -284,8 +284,7 @@ TURNS_STAGES = (
     Stage(3.0, 10.0, 5, dmp=5.0, rounds=4),
     Stage(10.0, 30.0, 5, dmp=15.0, rounds=4),
 )
-# it walks already, and steadily: repeated tasks need not be asked for
-_POLISH = Walking(rounds=((3, 8, 40), (6, 8, 40), (8, 8, 40)), repeats=False)
+_POLISH = Walking(rounds=((3, 8, 40), (6, 8, 40), (8, 8, 40)))  # it walks already
 JOINT = Cio(
     "cio",
     "contact-invariant optimisation: states, foot forces and DMP at once",

@@ -57,8 +57,9 @@ class Walking:
         alone: (cycles of the walk, limit of iterations, starts that go on) of each task alone.
         rounds: (cycles of a sequence, sequences, limit of iterations) of all tasks; after the first,
             half of the sequences are those that the gaits so far tilt most in.
-        repeats: whether the sequences after the first round are also such in which tasks are kept
-            on with, as planners do: each task over and over, and hardest ones of long runs.
+        repair, repairs: such rounds, and how many at most, while the gaits still fall in long walks: on
+            each task over and over, as planners do, and on the hardest sequences of a walk that keeps
+            on with its tasks. Gaits that fall less often are taken.
         bound: of alpha and beta.
     """
 
@@ -66,9 +67,10 @@ class Walking:
     alone: tuple[tuple[int, int, int], ...] = ((2, 12, 3), (3, 25, 1))
     rounds: tuple[tuple[int, int, int], ...] = (
         *((2, 16, 40), (4, 12, 40)),
-        *((6, 12, 30), (8, 12, 30), (12, 8, 30)),
+        *((6, 12, 30), (6, 12, 30), (6, 12, 30)),
     )
-    repeats: bool = True
+    repair: tuple[int, int, int] = (12, 8, 30)
+    repairs: int = 1
     bound: float = 4.0
 
     def iterations(self, tasks: int, given: bool) -> int:
@@ -101,17 +103,34 @@ class Walking:
             mu, alphas, betas, _ = zip(*found, strict=True)
             w = problem.join(mu[0], np.array(alphas), np.array(betas))
         for number, (cycles, count, iterations) in enumerate(self.rounds):
-            trace.message = f"gait: all tasks, round {number + 1} of {len(self.rounds)}"
-            sequences = [] if number == 0 else self._chosen(problem, w, cycles, count, rng)
-            sequences += solvable(problem, w, cycles, count - len(sequences), rng)
+            hard = [] if number == 0 else hardest(problem, w, cycles, count // 2, rng)
+            sequences = hard + solvable(problem, w, cycles, count - len(hard), rng)
             if not sequences:
                 raise DefplanError(
                     f"the gaits of {problem.dynamics.body.name} cannot be simulated over {cycles}"
                     " cycles: take another seed"
                 )
+            trace.message = f"gait: all tasks, round {number + 1} of {len(self.rounds)}"
             w, stage = self._minimise(problem, sequences, w, iterations, trace, threads)
             history += trace.objective[len(trace.objective) - stage["iterations"] :]
             stages.append(stage | {"stage": trace.message.removeprefix("gait: ")})
+        for number in range(self.repairs):
+            before = falls(problem, w)
+            if not before:
+                break
+            cycles, count, iterations = self.repair
+            sequences = repeated(problem, w, cycles)
+            sequences += hardest(problem, w, cycles, count - len(sequences), rng, _KEPT)
+            trace.message = f"gait: against falls, round {number + 1}"
+            found_w, stage = self._minimise(problem, sequences, w, iterations, trace, threads)
+            after = falls(problem, found_w)
+            stage |= {"stage": trace.message.removeprefix("gait: "), "falls": [before, after]}
+            if after < before:
+                w = found_w
+                history += trace.objective[len(trace.objective) - stage["iterations"] :]
+                stages.append(stage)
+            else:  # the last stage is the one that the gaits are of
+                stages.insert(-1, stage)
         return w, history, stages
 
     def _alone(
@@ -127,20 +146,6 @@ class Walking:
         w, stage = trials[0]
         mu, alpha, beta = alone.split(w)
         return mu, alpha[0], beta[0], stage | {"stage": f"{alone.tasks[0].name} alone"}
-
-    def _chosen(
-        self, problem: GaitProblem, w: np.ndarray, cycles: int, count: int, rng: np.random.Generator
-    ) -> list[list[int]]:
-        """Return the sequences of a later round that are not random."""
-        if not self.repeats:
-            return hardest(problem, w, cycles, count // 2, rng)
-        table = problem.gait(w, {}).table()
-        kept = [
-            [j] * cycles
-            for j in range(problem.n_tasks)
-            if solves(problem.dynamics, table[[j] * cycles])
-        ]
-        return kept + hardest(problem, w, cycles, count // 2, rng, _KEPT)
 
     def _minimise(
         self,
@@ -202,10 +207,7 @@ def hardest(
     A cycle has a random task, or, with the chance `kept`, that of the cycle before.
     """
     dynamics, table = problem.dynamics, problem.gait(w, {}).table()
-    task = rng.integers(problem.n_tasks, size=_WALK)
-    if kept:
-        for i in np.flatnonzero(rng.random(_WALK - 1) < kept):
-            task[i + 1] = task[i]
+    task = walk(problem.n_tasks, kept, rng)
     states, _ = roll_cycles(dynamics, table[task])
     found: dict[int, list[int]] = {}
     for last in np.argsort(-tilt(states).max(1), kind="stable"):
@@ -231,6 +233,32 @@ def solvable(
         if len(found) == count:
             break
     return found
+
+
+def repeated(problem: GaitProblem, w: np.ndarray, cycles: int) -> list[list[int]]:
+    """Return each task over and over; none whose solve fails at w."""
+    table = problem.gait(w, {}).table()
+    sequences = [[j] * cycles for j in range(problem.n_tasks)]
+    return [one for one in sequences if solves(problem.dynamics, table[one])]
+
+
+def falls(problem: GaitProblem, w: np.ndarray) -> int:
+    """Return how often the walker comes down in walks at w: tasks at random, and mostly kept on with."""
+    table = problem.gait(w, {}).table()
+    return sum(
+        int(roll_cycles(problem.dynamics, table[walk(problem.n_tasks, kept)])[1].sum())
+        for kept in (0.0, _KEPT, 0.9)
+    )
+
+
+def walk(tasks: int, kept: float, rng: np.random.Generator | None = None) -> np.ndarray:
+    """Return tasks of a long walk: random ones, or, with the chance `kept`, that of the cycle before."""
+    rng = rng or np.random.default_rng(0)
+    task = rng.integers(tasks, size=_WALK)
+    if kept:
+        for i in np.flatnonzero(rng.random(_WALK - 1) < kept):
+            task[i + 1] = task[i]
+    return task
 
 
 def solves(dynamics: ReducedDynamics, cycles: np.ndarray) -> bool:

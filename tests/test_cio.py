@@ -303,7 +303,7 @@ def test_one_seed_is_one_gait_and_its_meta_are_what_it_says(walking, joint):
 
 
 def test_polishing_goes_on_from_the_walk(walking):
-    walking_rounds = Walking(rounds=((2, 4, 5),))
+    walking_rounds = Walking(rounds=((2, 4, 5),), repairs=0)
     shoot = shooting.Shooting(walking=walking_rounds, threads=1)
     start = walking.w_of(QUICK.solve(walking, 0))
     polished = replace(QUICK, polish=shoot).solve(walking, 0)

@@ -19,8 +19,9 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import evaluate_switching, measure_cycles
 from defplan_mj.kernel.contact_points import contact_points
+from defplan_solvers import shooting_walk
 from defplan_solvers.shooting import Shooting
-from defplan_solvers.shooting_walk import Walking, hardest
+from defplan_solvers.shooting_walk import Trace, Walking, hardest, walk
 from defplan_tasks import environments, quadruped, tee, walking
 
 SPECS = {"quadruped": quadruped.WALK, "tee": tee.WALK}
@@ -36,7 +37,7 @@ PACKAGED = {
     ),
 }
 SLIP = {"quadruped": 0.2, "tee": 0.35}  # of the way walked, at most
-STAGES = Walking(starts=2, alone=((2, 12, 1), (3, 4, 1)), rounds=((2, 4, 6),))
+STAGES = Walking(starts=2, alone=((2, 12, 1), (3, 4, 1)), rounds=((2, 4, 6),), repairs=0)
 QUICK = Shooting(walking=STAGES)
 
 
@@ -211,6 +212,30 @@ def test_the_hardest_sequences_end_where_the_walker_tilts_most(
     hard = hardest(problem, problem.w_of(still), 4, 8, np.random.default_rng(0))
     assert len(hard) == 8
     assert all(len(sequence) == 4 and sequence[-1] == 1 for sequence in hard)
+
+
+@pytest.mark.parametrize("counts", [[0], [2, 1, 0], [2, 3, 2, 2]])
+def test_gaits_that_fall_go_on_and_are_taken_if_they_fall_less(
+    problem: GaitProblem, gait: Gait, monkeypatch: pytest.MonkeyPatch, counts: list[int]
+) -> None:
+    told = iter(counts)
+    monkeypatch.setattr(shooting_walk, "falls", lambda *_: next(told))
+    monkeypatch.setattr(shooting_walk, "_WALK", 12)
+    start, trace = problem.w_of(gait), Trace(lambda message, fraction: None, 1)
+    walking = Walking(rounds=(), repair=(2, 3, 2), repairs=2)
+    w, history, stages = walking.solve(problem, np.random.default_rng(0), trace, start, 1)
+    assert next(told, None) is None  # it stops when nothing falls
+    taken = [stage for stage in stages if stage["falls"][1] < stage["falls"][0]]
+    assert len(taken) == (counts == [2, 1, 0]) and len(stages) == len(counts) // 2
+    assert np.array_equal(w, start) == (not taken) == (not history)
+
+
+def test_tasks_of_a_walk_are_kept_on_with_as_often_as_asked_for() -> None:
+    for kept in (0.0, 0.6):
+        tasks = walk(4, kept)
+        again = (tasks[1:] == tasks[:-1]).mean()
+        assert again == pytest.approx(kept + (1 - kept) / 4, abs=0.08)
+        assert set(tasks) == set(range(4))
 
 
 def test_a_walker_that_comes_down_stands_up_for_the_next_cycle(
