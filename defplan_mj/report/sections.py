@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from defplan_mj.gait.footing import SOLE, TORSO
 from defplan_mj.planning.evaluation import wilson_interval
 from defplan_mj.report.body_figures import mesh_figures, mode_figure
 from defplan_mj.report.content import (
@@ -142,7 +143,8 @@ def _footing_table(footing: dict[str, float]) -> Table:
     ]
     caption = (
         "How the feet are put while gaits are switched: slip is weighted with the share of the load; "
-        "the torso is all above the lowest 30% of the undeformed body, the soles the lowest 8%."
+        f"the torso is all above the lowest {TORSO:.0%} of the undeformed body, the soles the lowest "
+        f"{SOLE:.0%}."
     )
     return Table(["feet", ""], rows, caption)
 
