@@ -120,7 +120,7 @@ class Shooting:
                 w, stage = self._minimise(
                     problem, cost, trial.w, iterations, trace, WARM if start is not None else {}
                 )
-                history = (*trial.history, *trace.objective[-stage["iterations"] :])
+                history = (*trial.history, *trace.of(stage))
                 stage |= {"stage": trace.message.removeprefix("gait: ")}
                 trials[i] = _Trial(w, history, (*trial.stages, stage))
             trials = sorted(trials, key=lambda trial: trial.stages[-1]["objective"])[:survivors]

@@ -47,6 +47,10 @@ class Trace:
         self.objective.append(objective)
         self.progress(self.message, min(1.0, len(self.objective) / self.total))
 
+    def of(self, stage: dict) -> list[float]:
+        """Return the objective of each iteration of the stage that was the last one."""
+        return self.objective[len(self.objective) - stage["iterations"] :]
+
 
 @dataclass(frozen=True)
 class Walking:
@@ -112,8 +116,8 @@ class Walking:
                 )
             trace.message = f"gait: all tasks, round {number + 1} of {len(self.rounds)}"
             w, stage = self._minimise(problem, sequences, w, iterations, trace, threads)
-            history += trace.objective[len(trace.objective) - stage["iterations"] :]
-            stages.append(stage | {"stage": trace.message.removeprefix("gait: ")})
+            history += trace.of(stage)
+            stages.append(stage)
         for number in range(self.repairs):
             before = falls(problem, w)
             if not before:
@@ -121,13 +125,15 @@ class Walking:
             cycles, count, iterations = self.repair
             sequences = repeated(problem, w, cycles)
             sequences += hardest(problem, w, cycles, count - len(sequences), rng, _KEPT)
+            if not sequences:
+                break
             trace.message = f"gait: against falls, round {number + 1}"
             found_w, stage = self._minimise(problem, sequences, w, iterations, trace, threads)
             after = falls(problem, found_w)
-            stage |= {"stage": trace.message.removeprefix("gait: "), "falls": [before, after]}
+            stage["falls"] = [before, after]
             if after < before:
                 w = found_w
-                history += trace.objective[len(trace.objective) - stage["iterations"] :]
+                history += trace.of(stage)
                 stages.append(stage)
             else:  # the last stage is the one that the gaits are of
                 stages.insert(-1, stage)
@@ -186,6 +192,7 @@ class Walking:
             options={"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": _MEMORY},
         )
         return np.concatenate([w0[:n], scale * found.x]), {
+            "stage": trace.message.removeprefix("gait: "),
             "objective": float(found.fun),
             "iterations": int(found.nit),
             "evaluations": int(found.nfev),

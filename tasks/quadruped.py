@@ -85,7 +85,7 @@ WALK = walking.walk_spec(
 RUN = dataclasses.replace(
     WALK,
     name="quadruped-run",
-    description="the 4-legged walker at 1 m a cycle: fast gaits, which fall without feedback",
+    description="the 4-legged walker in a hurry: gaits that want 1 m a cycle, kept on their feet by feedback",
     gait_tasks=walking.walking_tasks(1.0),
     weights=dataclasses.replace(walking.WEIGHTS, slip=0.1),
     feedback="ilqg",

@@ -16,6 +16,8 @@ threads.set_environment(1)  # before a test loads numpy
 # Not the task itself: it loads MuJoCo, which must know first how to render.
 from defplan_mj.body.build import build_body  # noqa: E402
 from defplan_mj.body.model import Body, Medium  # noqa: E402
+from defplan_mj.dynamics.reduced import ReducedDynamics  # noqa: E402
+from defplan_mj.gait.gait import Gait  # noqa: E402
 from defplan_mj.task import BodyOptions  # noqa: E402
 
 FISH_MESH = Path(__file__).parents[1] / "tasks" / "assets" / "fish.obj"
@@ -53,6 +55,18 @@ def pytest_configure(config: pytest.Config) -> None:
             config.defplan_renders = True  # type: ignore[attr-defined]
             return
     os.environ["MUJOCO_GL"] = "disable"
+
+
+@pytest.fixture(scope="session")
+def fish_gait() -> Gait:
+    """The packaged fish's gait."""
+    return Gait.load(FISH_MESH.with_name("fish_gait.npz"))
+
+
+@pytest.fixture(scope="session")
+def fish_dynamics(fish_gait: Gait) -> ReducedDynamics:
+    """The packaged fish's dynamics."""
+    return ReducedDynamics(Body.load(FISH_MESH.with_name("fish_body.npz")), fish_gait.timestep)
 
 
 @pytest.fixture

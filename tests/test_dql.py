@@ -201,24 +201,20 @@ def test_training_learns_to_reach_k2_and_most_novel_targets(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
-def test_a_wide_walker_learns_to_reach_k2_and_most_novel_targets(seed):
-    surrogate = samples.walker()
-    network, _, meta = train(surrogate, NAVIGATION, seed, Recipe(), 3600, silent)
+@pytest.mark.parametrize(
+    ("robot", "navigation"),
+    [
+        pytest.param(samples.walker, NAVIGATION, id="wide walker"),
+        pytest.param(samples.swimmer, SPATIAL, id="in space"),
+    ],
+)
+def test_the_whole_training_learns_to_reach_k2_and_most_novel_targets(robot, navigation, seed):
+    surrogate = robot()
+    network, _, meta = train(surrogate, navigation, seed, Recipe(), 3600, silent)
     assert not meta["stopped_early"]
-    assert success(surrogate, NAVIGATION, network, k2_scenes(NAVIGATION, seed)) == 1
-    novel = novel_scenes(NAVIGATION, 200, seed + 50)
-    assert success(surrogate, NAVIGATION, network, novel) > 0.85
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
-def test_training_in_space_learns_to_reach_k2_and_most_novel_targets(seed):
-    surrogate = samples.swimmer()
-    network, _, meta = train(surrogate, SPATIAL, seed, Recipe(), 3600, silent)
-    assert not meta["stopped_early"]
-    assert success(surrogate, SPATIAL, network, k2_scenes(SPATIAL, seed)) == 1
-    novel = novel_scenes(SPATIAL, 200, seed + 50)
-    assert success(surrogate, SPATIAL, network, novel) > 0.85
+    assert success(surrogate, navigation, network, k2_scenes(navigation, seed)) == 1
+    novel = novel_scenes(navigation, 200, seed + 50)
+    assert success(surrogate, navigation, network, novel) > 0.85
 
 
 @pytest.mark.slow

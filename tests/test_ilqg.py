@@ -13,7 +13,6 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import lsq_linear
 
 from defplan_mj import registry
-from defplan_mj.body.model import Body
 from defplan_mj.dynamics import tangent
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.feedback import OpenLoop, drive
@@ -29,18 +28,8 @@ ASSETS = Path(__file__).parents[1] / "tasks" / "assets"
 
 
 @pytest.fixture(scope="module")
-def gait() -> Gait:
-    return Gait.load(ASSETS / "fish_gait.npz")
-
-
-@pytest.fixture(scope="module")
-def dynamics(gait: Gait) -> ReducedDynamics:
-    return ReducedDynamics(Body.load(ASSETS / "fish_body.npz"), gait.timestep)
-
-
-@pytest.fixture(scope="module")
-def feedback(dynamics: ReducedDynamics, gait: Gait) -> Ilqg:
-    return Ilqg(dynamics, gait)
+def feedback(fish_dynamics: ReducedDynamics, fish_gait: Gait) -> Ilqg:
+    return Ilqg(fish_dynamics, fish_gait)
 
 
 class Linear:
@@ -221,28 +210,28 @@ def test_a_step_is_guessed_to_second_order_and_guesses_change_nothing(feedback):
     np.testing.assert_allclose(found[1], found[0], atol=1e-5)
 
 
-def test_a_body_on_the_mean_cycle_nearly_plays_the_dmp_as_it_is(feedback, gait):
+def test_a_body_on_the_mean_cycle_nearly_plays_the_dmp_as_it_is(feedback, fish_gait):
     for task, cycle in enumerate(feedback.cycles):
         feedback.reset()
         _, shapes = drive(feedback.model.dynamics, feedback, [task], 11, cycle.states[0])
-        more = (shapes - gait.table()[task]) / gait.amplitude
+        more = (shapes - fish_gait.table()[task]) / fish_gait.amplitude
         assert np.abs(more).max() < 0.1
 
 
-def test_a_decision_does_not_depend_on_place_and_heading(dynamics, gait, feedback):
+def test_a_decision_does_not_depend_on_place_and_heading(fish_dynamics, fish_gait, feedback):
     x = pushed(feedback, 3)
     frame = tangent.Frame(np.array([3.0, -2.0, 1.0]), np.array([np.cos(1.3), 0, 0, np.sin(1.3)]))
     shapes = []
     for start in (x, frame.outside(x)):
         feedback.reset()
-        shapes.append(drive(dynamics, feedback, [1, 2], 11, start)[1])
+        shapes.append(drive(fish_dynamics, feedback, [1, 2], 11, start)[1])
     np.testing.assert_allclose(shapes[0], shapes[1], atol=1e-4)
 
 
-def test_in_space_a_decision_does_not_depend_on_any_attitude(dynamics, gait):
-    free = replace(dynamics.body.medium, righting_height=0.0)
-    weightless = ReducedDynamics(replace(dynamics.body, medium=free), gait.timestep)
-    feedback = Ilqg(weightless, gait, "spatial")
+def test_in_space_a_decision_does_not_depend_on_any_attitude(fish_dynamics, fish_gait):
+    free = replace(fish_dynamics.body.medium, righting_height=0.0)
+    weightless = ReducedDynamics(replace(fish_dynamics.body, medium=free), fish_gait.timestep)
+    feedback = Ilqg(weightless, fish_gait, "spatial")
     x = pushed(feedback, 3)
     attitude = np.array([0.3, -0.5, 0.7, 0.4])
     frame = tangent.Frame(np.array([3.0, -2.0, 1.0]), attitude / np.linalg.norm(attitude))
@@ -255,7 +244,7 @@ def test_in_space_a_decision_does_not_depend_on_any_attitude(dynamics, gait):
     cycle, off = feedback.cycles[1], []
     spin = np.zeros(22)
     spin[14:17] = 1.0, -1.0, 1.0
-    for one in (OpenLoop(gait), feedback):
+    for one in (OpenLoop(fish_gait), feedback):
         one.reset()
         end = drive(
             weightless, one, [1] * 4, 11, cycle.states[0],
@@ -282,19 +271,21 @@ def switched(dynamics, gait, feedback, cycles=25):
     return tasks, states[::n], shapes
 
 
-def test_heading_is_kept_many_times_better_than_in_open_loop(dynamics, gait, feedback):
+def test_heading_is_kept_many_times_better_than_in_open_loop(fish_dynamics, fish_gait, feedback):
     wanted = np.array([2 * np.arcsin(cycle.motion.quaternion[3]) for cycle in feedback.cycles])
     errors = []
-    for one in (OpenLoop(gait), feedback):
-        tasks, at, _ = switched(dynamics, gait, one)
+    for one in (OpenLoop(fish_gait), feedback):
+        tasks, at, _ = switched(fish_dynamics, fish_gait, one)
         turn = wrap(np.diff(heading(at)) - wanted[tasks])
         errors.append(np.sqrt((turn[2:] ** 2).mean()))
     assert errors[1] < 0.4 * errors[0]
 
 
-def test_the_environment_plays_a_feedback_as_the_dynamics_alone_does(dynamics, gait, feedback):
+def test_the_environment_plays_a_feedback_as_the_dynamics_alone_does(
+    fish_dynamics, fish_gait, feedback
+):
     env = navigation_environment(
-        dynamics.body, gait, Navigation(), lambda random: scene([]), feedback=feedback
+        fish_dynamics.body, fish_gait, Navigation(), lambda random: scene([]), feedback=feedback
     )
     env.reset()
     x = env.physics.reduced_state()
@@ -302,31 +293,34 @@ def test_the_environment_plays_a_feedback_as_the_dynamics_alone_does(dynamics, g
         env.step(task)
     end = env.physics.reduced_state()
     feedback.reset()
-    states, shapes = drive(dynamics, feedback, [1, 0, 2], gait.steps_per_cycle, x)
+    states, shapes = drive(fish_dynamics, feedback, [1, 0, 2], fish_gait.steps_per_cycle, x)
     assert (states[-1] == end).all()
-    assert not (shapes == gait.table()[[1, 0, 2]].reshape(shapes.shape)).all()
+    assert not (shapes == fish_gait.table()[[1, 0, 2]].reshape(shapes.shape)).all()
 
 
-def test_the_same_run_is_the_same_to_the_bit(dynamics, gait, feedback):
-    first = switched(dynamics, gait, feedback, 6)
-    other = Ilqg(dynamics, gait)
-    again = switched(dynamics, gait, other, 6)
+def test_the_same_run_is_the_same_to_the_bit(fish_dynamics, fish_gait, feedback):
+    first = switched(fish_dynamics, fish_gait, feedback, 6)
+    other = Ilqg(fish_dynamics, fish_gait)
+    again = switched(fish_dynamics, fish_gait, other, 6)
     assert (first[2] == again[2]).all() and (first[1] == again[1]).all()
 
 
-def test_target_shapes_stay_within_the_gaits_amplitude(dynamics, gait):
-    eager = Ilqg(dynamics, gait, options=Options(effort=0.01, heading=100.0))
-    _, _, shapes = switched(dynamics, gait, eager, 6)
-    assert (np.abs(shapes) <= gait.amplitude).all()
-    assert (np.abs(shapes) == gait.amplitude).any()
+def test_target_shapes_stay_within_the_gaits_amplitude(fish_dynamics, fish_gait):
+    eager = Ilqg(fish_dynamics, fish_gait, options=Options(effort=0.01, heading=100.0))
+    _, _, shapes = switched(fish_dynamics, fish_gait, eager, 6)
+    assert (np.abs(shapes) <= fish_gait.amplitude).all()
+    assert (np.abs(shapes) == fish_gait.amplitude).any()
 
 
-def test_the_plugins_are_installed_and_can_be_sent_to_other_processes(dynamics, gait):
+def test_the_plugins_are_installed_and_can_be_sent_to_other_processes(fish_dynamics, fish_gait):
     none, full = (registry.get_solver(name, "feedback") for name in ("none", "ilqg"))
     for solver in (none, full):
         copy = pickle.loads(pickle.dumps(solver))
         assert copy == solver and repr(copy) == repr(solver)
-    assert isinstance(none.prepare(dynamics, gait), OpenLoop)
-    assert isinstance(full.prepare(dynamics, gait), Ilqg)
+    assert isinstance(none.prepare(fish_dynamics, fish_gait), OpenLoop)
+    assert isinstance(full.prepare(fish_dynamics, fish_gait), Ilqg)
     assert repr(full) != repr(replace(full, options=Options(horizon=7)))
-    assert isinstance(ilqg.SOLVER.options, Options) and BodyModel(dynamics).dynamics is dynamics
+    assert (
+        isinstance(ilqg.SOLVER.options, Options)
+        and BodyModel(fish_dynamics).dynamics is fish_dynamics
+    )

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from defplan_mj.body.model import Body
 from defplan_mj.dynamics import tangent
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
@@ -23,49 +22,41 @@ from defplan_tasks import quadruped
 ASSETS = Path(__file__).parents[1] / "tasks" / "assets"
 
 
-@pytest.fixture(scope="module")
-def gait() -> Gait:
-    return Gait.load(ASSETS / "fish_gait.npz")
-
-
-@pytest.fixture(scope="module")
-def dynamics(gait: Gait) -> ReducedDynamics:
-    return ReducedDynamics(Body.load(ASSETS / "fish_body.npz"), gait.timestep)
-
-
 @pytest.mark.parametrize("space", ["planar", "spatial"])
-def test_its_motion_is_the_mean_of_what_switching_measures(dynamics, gait, space):
-    tasks = [GaitTask(name, turn=(0.0, 0.0, 1.0)) for name in gait.task_names]
-    problem = GaitProblem(dynamics, tasks, gait.steps_per_cycle, space=space)
+def test_its_motion_is_the_mean_of_what_switching_measures(fish_dynamics, fish_gait, space):
+    tasks = [GaitTask(name, turn=(0.0, 0.0, 1.0)) for name in fish_gait.task_names]
+    problem = GaitProblem(fish_dynamics, tasks, fish_gait.steps_per_cycle, space=space)
     order = np.random.default_rng(4).permutation(np.repeat(np.arange(3), 8))
-    measured = measure_cycles(problem, gait, order)
-    found = mean_cycles(dynamics, gait, level=space == "planar", cycles=8, seed=4)
+    measured = measure_cycles(problem, fish_gait, order)
+    found = mean_cycles(fish_dynamics, fish_gait, level=space == "planar", cycles=8, seed=4)
     for task, cycle in enumerate(found):
         mine = measured.counted & (order == task)
         np.testing.assert_allclose(cycle.motion.position, measured.move[mine].mean(0), atol=1e-9)
         turn = Rotation.from_quat(cycle.motion.quaternion, scalar_first=True).as_rotvec()
         np.testing.assert_allclose(turn, measured.turn[mine].mean(0), atol=0.01)
         assert np.linalg.norm(turn) > 0.3 or task == 0
-        np.testing.assert_array_equal(cycle.shapes, gait.table()[task])
+        np.testing.assert_array_equal(cycle.shapes, fish_gait.table()[task])
 
 
-def test_cycles_that_are_all_alike_are_their_own_mean(dynamics, gait):
-    straight = replace(gait, task_names=("forward",), alpha=gait.alpha[:1], beta=gait.beta[:1])
-    (cycle,) = mean_cycles(dynamics, straight, cycles=60)
-    x = dynamics.rollout(cycle.states[0], cycle.shapes)
+def test_cycles_that_are_all_alike_are_their_own_mean(fish_dynamics, fish_gait):
+    straight = replace(
+        fish_gait, task_names=("forward",), alpha=fish_gait.alpha[:1], beta=fish_gait.beta[:1]
+    )
+    (cycle,) = mean_cycles(fish_dynamics, straight, cycles=60)
+    x = fish_dynamics.rollout(cycle.states[0], cycle.shapes)
     np.testing.assert_allclose(tangent.difference(x, cycle.states), 0, atol=0.02)
     for i in (0, 5, 10):
         a, b = tangent.step_jacobian(
-            x[i], x[i + 1], *dynamics.step_jacobian(x[i], cycle.shapes[i], x[i + 1])
+            x[i], x[i + 1], *fish_dynamics.step_jacobian(x[i], cycle.shapes[i], x[i + 1])
         )
         np.testing.assert_allclose(cycle.a[i], a, atol=0.02 * np.abs(a).max())
         np.testing.assert_allclose(cycle.b[i], b, atol=0.02 * np.abs(b).max())
 
 
 @pytest.mark.parametrize("level", [True, False])
-def test_unrolled_each_cycle_begins_where_the_one_before_has_led(dynamics, gait, level):
-    cycle = mean_cycles(dynamics, gait, level=level, cycles=4)[1]
-    n = gait.steps_per_cycle
+def test_unrolled_each_cycle_begins_where_the_one_before_has_led(fish_dynamics, fish_gait, level):
+    cycle = mean_cycles(fish_dynamics, fish_gait, level=level, cycles=4)[1]
+    n = fish_gait.steps_per_cycle
     states = cycle.unrolled(2 * n + 3)
     assert len(states) == 2 * n + 4
     np.testing.assert_array_equal(states[: n + 1], cycle.states)

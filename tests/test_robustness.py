@@ -28,16 +28,6 @@ AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
 
 
 @pytest.fixture(scope="module")
-def gait() -> Gait:
-    return Gait.load(ASSETS / "fish_gait.npz")
-
-
-@pytest.fixture(scope="module")
-def fish_dynamics(gait: Gait) -> ReducedDynamics:
-    return ReducedDynamics(Body.load(ASSETS / "fish_body.npz"), gait.timestep)
-
-
-@pytest.fixture(scope="module")
 def standing() -> ReducedDynamics:
     """A 4-legged body on the ground."""
     options = BodyOptions(
@@ -104,13 +94,13 @@ def test_a_body_that_stands_does_not_fall_and_one_that_is_struck_down_does(stand
     assert np.isfinite(struck.motion).all()
 
 
-def test_pushes_and_switches_are_the_same_for_each_feedback(fish_dynamics, gait):
-    first = walk(fish_dynamics, gait, NONE, Condition("p", push=0.3), cycles=6, seed=3)
-    again = walk(fish_dynamics, gait, NONE, Condition("p", push=0.3), cycles=6, seed=3)
-    other = walk(fish_dynamics, gait, NONE, Condition("p", push=0.3), cycles=6, seed=4)
+def test_pushes_and_switches_are_the_same_for_each_feedback(fish_dynamics, fish_gait):
+    first = walk(fish_dynamics, fish_gait, NONE, Condition("p", push=0.3), cycles=6, seed=3)
+    again = walk(fish_dynamics, fish_gait, NONE, Condition("p", push=0.3), cycles=6, seed=3)
+    other = walk(fish_dynamics, fish_gait, NONE, Condition("p", push=0.3), cycles=6, seed=4)
     assert (first.motion == again.motion).all() and (first.task == again.task).all()
     assert not (first.motion == other.motion).all()
-    held = walk(fish_dynamics, gait, registry.get_solver("ilqg", "feedback"), CALM, 6, 3)
+    held = walk(fish_dynamics, fish_gait, registry.get_solver("ilqg", "feedback"), CALM, 6, 3)
     assert (held.task == first.task).all()
 
 
@@ -141,10 +131,10 @@ def test_drift_is_what_cycles_are_off_from_the_expected_ones():
     assert turn == pytest.approx(np.sqrt((0.1**2 * 2 + (6.4 - 2 * np.pi) ** 2) / 3))
 
 
-def test_a_measurement_has_a_row_for_each_condition_and_feedback(fish_dynamics, gait):
+def test_a_measurement_has_a_row_for_each_condition_and_feedback(fish_dynamics, fish_gait):
     solvers = [NONE, registry.get_solver("ilqg", "feedback")]
     wanted = [c for c in conditions(0.3) if not c.slope and c.friction == 1.0][:2]
-    rows = measure(fish_dynamics, gait, solvers, wanted, cycles=8)
+    rows = measure(fish_dynamics, fish_gait, solvers, wanted, cycles=8)
     names = [(row["condition"], row["feedback"]) for row in rows]
     assert names == [(c.name, s.name) for c in wanted for s in solvers]
     assert all(row["cycles"] == 8 and row["falls"] == 0 for row in rows)
@@ -153,6 +143,6 @@ def test_a_measurement_has_a_row_for_each_condition_and_feedback(fish_dynamics, 
     assert rows[1]["turn_rad"] < 0.5 * rows[0]["turn_rad"]
     assert rows[3]["turn_rad"] < 0.5 * rows[2]["turn_rad"]
     assert rows[0]["way_m"] == pytest.approx(rows[1]["way_m"], rel=0.2)
-    direct = walk(fish_dynamics, gait, NONE, wanted[1], cycles=8)
-    place, turn = direct.drift(walk(fish_dynamics, gait, NONE, CALM, cycles=8).means(3))
+    direct = walk(fish_dynamics, fish_gait, NONE, wanted[1], cycles=8)
+    place, turn = direct.drift(walk(fish_dynamics, fish_gait, NONE, CALM, cycles=8).means(3))
     assert (rows[2]["place_m"], rows[2]["turn_rad"]) == (place, turn)

@@ -5,22 +5,13 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from defplan_mj.gait.costs import quaternion_product
+from defplan_mj.gait.costs import quaternion_matrix, quaternion_product
 from defplan_solvers.cio_model import Walker
 
 MASS, INERTIA, STAND, STIFF = 2.0, 0.05, 0.3, 0.7
 HOME = np.array(
     [[0.3, 0.2, -STAND], [0.3, -0.2, -STAND], [-0.3, 0.2, -STAND], [-0.3, -0.2, -STAND]]
 )
-
-
-def rotation(quat: ca.SX) -> ca.SX:
-    w, a, b, c = (quat[i] for i in range(4))
-    return ca.vertcat(
-        ca.horzcat(1 - 2 * (b * b + c * c), 2 * (a * b - w * c), 2 * (a * c + w * b)),
-        ca.horzcat(2 * (a * b + w * c), 1 - 2 * (a * a + c * c), 2 * (b * c - w * a)),
-        ca.horzcat(2 * (a * c - w * b), 2 * (b * c + w * a), 1 - 2 * (a * a + b * b)),
-    )
 
 
 def toy_walker(timestep: float = 0.03, friction: float = 0.8) -> Walker:
@@ -33,7 +24,7 @@ def toy_walker(timestep: float = 0.03, friction: float = 0.8) -> Walker:
     c, quat, q, v, spin = x[:3], x[3:7], x[7 : 7 + r], x[7 + r : 10 + r], x[10 + r : 13 + r]
     quat = quat / ca.norm_2(quat)
     arms = HOME.T + 0.1 * ca.reshape(q, 3, 4)
-    turn = rotation(quat)
+    turn = quaternion_matrix(quat)
     torque = sum(ca.cross(turn @ arms[:, f], forces[:, f]) for f in range(4))
     v = v + h * (ca.sum2(forces) / MASS - ca.DM([0, 0, 9.81]))
     spin = spin + h * (turn.T @ torque) / INERTIA

@@ -63,7 +63,7 @@ def spatial(
     made = quaternion_product(_conjugate(start[3:7]), x[3:7, -1])
     error = quaternion_product(_conjugate(target), made)[1:4]
     roll = ca.dot(error, axis)
-    moved = _rotation(start[3:7]).T @ (x[:3, -1] - start[:3])
+    moved = quaternion_matrix(start[3:7]).T @ (x[:3, -1] - start[:3])
     return (
         weights.turn * 4 * (ca.sumsqr(error) - roll**2)
         + weights.roll * 4 * roll**2
@@ -96,8 +96,8 @@ def _conjugate(q: ca.SX) -> ca.SX:
     return ca.vertcat(q[0], -q[1:4])
 
 
-def _rotation(q: ca.SX) -> ca.SX:
-    """The rotation matrix of a unit quaternion."""
+def quaternion_matrix(q: ca.SX) -> ca.SX:
+    """Return the rotation matrix (3, 3) of a unit quaternion (w x y z), symbolic."""
     w, a, b, c = (q[i] for i in range(4))
     return ca.vertcat(
         ca.horzcat(1 - 2 * (b * b + c * c), 2 * (a * b - w * c), 2 * (a * c + w * b)),

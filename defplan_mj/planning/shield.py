@@ -60,9 +60,8 @@ class Shield:
     def safe(self, points: np.ndarray) -> np.ndarray:
         """Return (K,) which gaits are safe among the (p, d) points, at least one of them."""
         gaits = self.tree.gaits
-        points = points[
-            np.einsum("pd,pd->p", points, points) <= self.reach**2
-        ]  # others say nothing
+        # no cycle comes near those beyond reach
+        points = points[np.einsum("pd,pd->p", points, points) <= self.reach**2]
         if not len(points):
             return np.ones(gaits, bool)
         from_start, from_end, from_way = self.tree.distances2(points)
