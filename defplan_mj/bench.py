@@ -180,7 +180,7 @@ def bench(
     few = 10 if quick else 1
     name = spec.name.split("-")[0]
     gait = vigorous_gait(body, spec.timestep, spec.steps_per_cycle)
-    dynamics = ReducedDynamics(body, spec.timestep, spec.terrain)
+    dynamics = ReducedDynamics(body, spec.timestep, spec.terrain, **spec.stepping)
     kernel = Kernel(dynamics)
 
     progress("bench: reduced step", 0.0)

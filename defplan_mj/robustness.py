@@ -114,7 +114,7 @@ def world(dynamics: ReducedDynamics, condition: Condition) -> ReducedDynamics:
             geoms=(TerrainGeom("plane", quaternion=lean),) if condition.slope else terrain.geoms,
         )
     body = heavier(dynamics.body, condition.mass) if condition.mass != 1.0 else dynamics.body
-    return ReducedDynamics(body, dynamics.timestep, terrain)
+    return ReducedDynamics(body, dynamics.timestep, terrain, **dynamics.stepping)
 
 
 def heavier(body: Body, factor: float) -> Body:
@@ -214,7 +214,7 @@ def measure(
 
     jobs = [(condition, solver) for condition in wanted for solver in solvers]
     workers = min(threads.available_cores(), 2)
-    told = (dynamics.body, dynamics.timestep, dynamics.terrain, gait)
+    told = (dynamics.body, dynamics.timestep, dynamics.terrain, dynamics.stepping, gait)
     walks: list[Walk] = []
     with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
         calls = (delayed(_walk)(told, solver, where, cycles, seed) for where, solver in jobs)
@@ -241,15 +241,15 @@ def measure(
 
 
 def _walk(
-    told: tuple[Body, float, Terrain | None, Gait],
+    told: tuple[Body, float, Terrain | None, dict[str, Any], Gait],
     solver: FeedbackSolver,
     condition: Condition,
     cycles: int,
     seed: int,
 ) -> Walk:
     """Walk in a process of its own."""
-    body, timestep, terrain, gait = told
-    dynamics = ReducedDynamics(body, timestep, terrain)
+    body, timestep, terrain, stepping, gait = told
+    dynamics = ReducedDynamics(body, timestep, terrain, **stepping)
     return walk(dynamics, gait, solver, condition, cycles, seed)
 
 

@@ -140,7 +140,8 @@ class Run:
         """The reduced dynamics of the body at the task's time step."""
         from defplan_mj.dynamics.reduced import ReducedDynamics
 
-        return ReducedDynamics(self.body, self.spec.timestep, self.spec.terrain)
+        spec = self.spec
+        return ReducedDynamics(self.body, spec.timestep, spec.terrain, **spec.stepping)
 
     @cached_property
     def gait(self) -> Gait:
@@ -170,6 +171,7 @@ class Run:
             "seed": seed,
             "tasks": [dataclasses.asdict(task) for task in spec.gait_tasks],
             "timestep": spec.timestep,
+            **spec.stepping,
             "steps_per_cycle": spec.steps_per_cycle,
             "steps": spec.gait_steps,
             "space": spec.navigation.space,

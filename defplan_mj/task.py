@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from defplan_mj.body.model import Material, Medium
 from defplan_mj.dynamics.terrain import Terrain
@@ -168,8 +169,9 @@ class TaskSpec:
         description: one line for `defplan list`.
         mesh: path of the mesh file the body is built from.
         body: how it is built.
-        timestep: of the reduced step, s.
-        steps_per_cycle: steps in one gait cycle.
+        timestep: of a control step, s.
+        substeps, integrator: of the reduced dynamics in it, see `dynamics.reduced.ReducedDynamics`.
+        steps_per_cycle: control steps in one gait cycle.
         gait_tasks: what the gaits should do.
         gait_steps: N_1, steps of a gait trajectory.
         weights: of the gaits' objective.
@@ -190,6 +192,8 @@ class TaskSpec:
     steps_per_cycle: int
     gait_tasks: tuple[GaitTask, ...]
     gait_steps: int = 200
+    substeps: int = 2
+    integrator: str = "variational"
     weights: Weights = Weights()
     axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
     terrain: Terrain | None = None
@@ -199,3 +203,8 @@ class TaskSpec:
     feedback: str = "none"
     rivals: tuple[str, ...] = ("alternating",)  # the paper's scheme
     paper: dict = field(default_factory=dict)
+
+    @property
+    def stepping(self) -> dict[str, Any]:
+        """'substeps' and 'integrator', as `ReducedDynamics` and `build_spec` take them."""
+        return {"substeps": self.substeps, "integrator": self.integrator}

@@ -141,7 +141,7 @@ def state_weights(x: np.ndarray, amplitude: np.ndarray, options: Options) -> np.
     weights[6 : 6 + r] = options.shape / amplitude**2
     weights[6 + r : 9 + r] = options.velocity
     weights[9 + r : 12 + r] = options.spin
-    weights[12 + r :] = options.rate / amplitude**2
+    weights[12 + r : 12 + 2 * r] = options.rate / amplitude**2  # the last target is not judged
     out = np.diag(weights)
     attitude = Frame(x[:3], x[3:7]).matrix
     out[3:6, 3:6] = attitude.T @ np.diag([options.tilt, options.tilt, options.heading]) @ attitude

@@ -74,7 +74,7 @@ class Trajectories:
         self.rest = dynamics.rest_state()
         h, r = dynamics.timestep, self.r
         scale = np.concatenate([np.ones(3), _TURN * np.ones(3), _SHAPE * np.ones(r)])
-        self.scale = np.concatenate([scale, h * scale])
+        self.scale = np.concatenate([scale, h * scale, _SHAPE * np.ones(r)])
         mode = ("thread", threads) if threads > 1 else ()
         self._stage = Compiled(self._stage_function(False).map(self.total, *mode))
         self._stage_jacobian = Compiled(self._stage_function(True).map(self.total, *mode))

@@ -35,6 +35,7 @@ def shape_environment(
         space=spec.navigation.space,
         terrain=spec.terrain,
         texture=texture_of(body),
+        stepping=spec.stepping,
     )
     return control.Environment(
         Physics.from_mjmodel(compile_model(model)),

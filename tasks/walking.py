@@ -83,7 +83,7 @@ def walk_environment(
     environment_kwargs: dict | None = None,
 ) -> control.Environment:
     """Return the task `Walk`: the action is the target shape, in [-1, 1] of the body's amplitude."""
-    rest = ReducedDynamics(body, spec.timestep, spec.terrain).rest_state()
+    rest = ReducedDynamics(body, spec.timestep, spec.terrain, **spec.stepping).rest_state()
     task = Walk(rest, random=random)
     return environments.shape_environment(spec, body, task, time_limit, environment_kwargs)
 
@@ -94,7 +94,7 @@ class Walk(swimming.Swim):
     speed = _SPEED
 
     def __init__(self, rest: np.ndarray, random: np.random.RandomState | int | None = None):
-        """Take the state (13 + 2r,) it stands in."""
+        """Take the state (13 + 3r,) it stands in."""
         super().__init__(random=random)
         self._rest = rest
 

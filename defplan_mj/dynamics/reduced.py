@@ -1,9 +1,10 @@
-"""The reduced dynamics: one implicit step of c, R and q under a target shape, in compiled code."""
+"""The reduced dynamics: a step of c, R and q under a target shape, in compiled code."""
 
 from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from defplan_mj.dynamics.feet import Feet, pack_feet
 from defplan_mj.dynamics.terrain import Terrain, pack_terrain
 from defplan_mj.errors import DefplanError
 from defplan_mj.kernel.library import Info, Model, kernel
-from defplan_mj.kernel.pack import pack_body, pack_options
+from defplan_mj.kernel.pack import pack_body, pack_options, stepping_of
 
 _CALM_STEPS, _CALM_TIMESTEP = 1000, 0.2  # to settle on the terrain; s
 
@@ -42,9 +43,10 @@ class Contacts:
 class ReducedDynamics:
     """f reduced: x_{i+1} = step(x_i, u_i); see kernel/kernel.h for the state's layout.
 
-    A state is (13 + 2r,): position (3, m), unit quaternion (w x y z), q (r), then world velocity
-    (3, m/s), angular velocity in the body frame (3, rad/s), dq/dt (r, 1/s). All calls are
-    thread-safe and release the GIL.
+    A state is (13 + 3r,): position (3, m), unit quaternion (w x y z), q (r), then world velocity
+    (3, m/s), angular velocity in the body frame (3, rad/s), dq/dt (r, 1/s), differences over the last
+    substep, then the last target shape (r), from which the next one is reached by a ramp. All calls
+    are thread-safe and release the GIL.
     """
 
     def __init__(
@@ -55,18 +57,23 @@ class ReducedDynamics:
         feet: Feet | None = None,
         tolerance: float = 1e-7,
         max_newton: int = 60,
+        *,
+        substeps: int = 2,
+        integrator: str = "variational",
     ):
         """Prepare the kernel's arrays.
 
         Args:
-            timestep: s.
+            timestep: of a control step, s.
+            substeps: of the integrator in a control step.
+            integrator: 'variational' (momentum-conserving, second order) or 'implicit-euler'.
             terrain: what the body touches, or None.
             feet: points that take given forces: an input is then (r + 3 n_feet,), the target shape
                 and a world force (N) on each foot.
         """
         self.body, self.terrain, self.feet = body, terrain, feet
         self.blob = pack_body(body)
-        self.par = pack_options(body, timestep, tolerance, max_newton)
+        self.par = pack_options(body, timestep, tolerance, max_newton, substeps, integrator)
         self._lib = kernel()
         if self._lib.dp_check(self.blob, self.blob.size):
             raise DefplanError(f"the kernel does not take the body {body.name}: reinstall defplan")
@@ -90,8 +97,23 @@ class ReducedDynamics:
 
     @property
     def nx(self) -> int:
-        """Size of the state, 13 + 2r."""
-        return 13 + 2 * self.body.n_modes
+        """Size of the state, 13 + 3r."""
+        return 13 + 3 * self.body.n_modes
+
+    @property
+    def substeps(self) -> int:
+        """Substeps in a control step."""
+        return int(self.par[10])
+
+    @property
+    def integrator(self) -> str:
+        """Name of the integrator."""
+        return str(self.stepping["integrator"])
+
+    @property
+    def stepping(self) -> dict[str, Any]:
+        """'substeps' and 'integrator', as they are given to this class."""
+        return stepping_of(self.par)
 
     def rest_state(self) -> np.ndarray:
         """Return the state at rest, (nx,): at the origin, or standing on the terrain at x = y = 0.
@@ -115,8 +137,14 @@ class ReducedDynamics:
         which is where it stands without friction.
         """
         assert self.terrain is not None
+        # implicit Euler takes energy fast, at any step
         calm = ReducedDynamics(
-            self.body, _CALM_TIMESTEP, replace(self.terrain, friction=0.0), tolerance=1e-10
+            self.body,
+            _CALM_TIMESTEP,
+            replace(self.terrain, friction=0.0),
+            tolerance=1e-10,
+            substeps=1,
+            integrator="implicit-euler",
         )
         n, u = 7 + self.body.n_modes, np.zeros(calm.nu)
         x = self._undeformed()
@@ -252,7 +280,10 @@ class ReducedDynamics:
     def with_feet(self, feet: Feet) -> ReducedDynamics:
         """Return the same dynamics with given forces on `feet` in the place of contact."""
         timestep, tolerance, newton = self.par[0], self.par[8], int(self.par[9])
-        return ReducedDynamics(self.body, timestep, None, feet, tolerance, newton)
+        return ReducedDynamics(
+            *(self.body, timestep, None, feet, tolerance, newton),
+            **self.stepping,
+        )
 
     def step_forced(self, x: np.ndarray, u: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Like `step`, with the target shape `u` (r,) and the forces on the feet (n_feet, 3), N."""

@@ -1,7 +1,7 @@
 """Tangent coordinates of the state: small changes without the quaternion's constraint, and rigid frames.
 
-A change z (12 + 2r,) is, in this order: of the centre (3, world), a rotation vector in the body frame (3), of
-q (r), of the velocity (3, world), of the angular velocity (3, body), of dq/dt (r).
+A change z (12 + 3r,) is, in this order: of the centre (3, world), a rotation vector in the body frame (3), of
+q (r), of the velocity (3, world), of the angular velocity (3, body), of dq/dt (r), of the last target (r).
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class Frame:
         inverse = self.quaternion * [1.0, -1.0, -1.0, -1.0]
         y, matrix = x.copy(), self.matrix
         y[:3], y[3:7] = (x[:3] - self.position) @ matrix, _product(inverse, x[3:7])
-        v = slice((len(x) - 13) // 2 + 7, (len(x) - 13) // 2 + 10)
+        v = slice((len(x) - 13) // 3 + 7, (len(x) - 13) // 3 + 10)
         y[v] = x[v] @ matrix
         return y
 
@@ -122,7 +122,7 @@ class Frame:
         """Return the state (nx,) in the world of one told from this frame: undoes `inside`."""
         x, matrix = y.copy(), self.matrix
         x[:3], x[3:7] = self.position + matrix @ y[:3], _product(self.quaternion, y[3:7])
-        v = slice((len(x) - 13) // 2 + 7, (len(x) - 13) // 2 + 10)
+        v = slice((len(x) - 13) // 3 + 7, (len(x) - 13) // 3 + 10)
         x[v] = matrix @ y[v]
         return x
 

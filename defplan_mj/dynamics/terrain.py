@@ -56,8 +56,8 @@ GROUND = (TerrainGeom("plane"),)
 class Terrain:
     """Static surroundings with contact (docs/kernel.md).
 
-    A surface point whose distance s is less than the thickness d takes the normal force k (d - s)^2,
-    and friction mu f v / sqrt(|v|^2 + e^2) at a tangential velocity v.
+    A surface point whose distance s is less than the thickness d takes the normal force
+    f = k (d - s)^2 (1 - b ds/dt), and friction mu f v / sqrt(|v|^2 + e^2) at a tangential velocity v.
 
     Attributes:
         geoms: solids; the default is the ground z = 0.
@@ -67,6 +67,7 @@ class Terrain:
         thickness: d, m; None: 1% of the body's length.
         stiffness: k, N/m^2; None: one point carries the body's weight at distance 0, so that a body
             at rest on several points stays outside.
+        damping: b, s/m: what an impact loses, whatever the time step.
     """
 
     geoms: tuple[TerrainGeom, ...] = GROUND
@@ -75,6 +76,7 @@ class Terrain:
     slip_speed: float = 0.01
     thickness: float | None = None
     stiffness: float | None = None
+    damping: float = 5.0
 
 
 def terrain_json(terrain: Terrain) -> dict[str, Any]:
@@ -116,6 +118,9 @@ def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:
     if not 0.0 <= terrain.friction < np.inf:
         raise DefplanError(f"the terrain's friction is {terrain.friction}: it must not be negative")
     header = np.zeros(HEADER)
+    if not 0.0 <= terrain.damping < np.inf:
+        raise DefplanError(f"the terrain's damping is {terrain.damping}: it must not be negative")
+    header[14] = terrain.damping
     header[1:6] = terrain.friction, stiffness, thickness, terrain.slip_speed, len(terrain.geoms)
     parts = [header, *(_pack_geom(geom) for geom in terrain.geoms)]
     field = terrain.heightfield

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from defplan_mj import files
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 def dmp(
@@ -37,11 +38,12 @@ class Gait:
     Attributes:
         body_hash: the body it was optimised for.
         task_names: (K,) names, e.g. ('forward', 'left', 'right').
-        timestep: s; a gait belongs to its time step.
+        timestep: of a control step, s; a gait belongs to its time step.
         steps_per_cycle: 2 pi / (tau timestep), an integer.
         alpha, beta: (K, D, r) activation magnitude and sharpness.
         mu: (D, r) phase shifts.
         amplitude: (r,) bound of the target shape: it is clipped to [-amplitude, amplitude].
+        substeps, integrator: of the dynamics it was optimised for, see `ReducedDynamics`.
         meta: solver, seed, seconds, objective history: what the report shows.
     """
 
@@ -53,7 +55,14 @@ class Gait:
     beta: np.ndarray
     mu: np.ndarray
     amplitude: np.ndarray
+    substeps: int = 2
+    integrator: str = "variational"
     meta: dict = field(default_factory=dict)
+
+    @property
+    def stepping(self) -> dict[str, Any]:
+        """'substeps' and 'integrator', as `ReducedDynamics` and `build_spec` take them."""
+        return {"substeps": self.substeps, "integrator": self.integrator}
 
     @property
     def tau(self) -> float:
@@ -86,6 +95,7 @@ class Gait:
             "task_names": list(self.task_names),
             "timestep": self.timestep,
             "steps_per_cycle": self.steps_per_cycle,
+            **self.stepping,
             "meta": self.meta,
         }
 
@@ -106,6 +116,8 @@ class Gait:
             task_names=tuple(meta["task_names"]),
             timestep=meta["timestep"],
             steps_per_cycle=meta["steps_per_cycle"],
+            substeps=meta["substeps"],
+            integrator=meta["integrator"],
             meta=meta["meta"],
             **arrays,
         )

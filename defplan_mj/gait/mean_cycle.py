@@ -104,7 +104,7 @@ def _of(
 
 def turn_tangent(matrix: np.ndarray, n: int) -> np.ndarray:
     """Return (n, n): what turning the frame of reference does to changes of centre and velocity."""
-    out, r = np.eye(n), (n - 12) // 2
+    out, r = np.eye(n), (n - 12) // 3
     out[:3, :3] = matrix
     out[6 + r : 9 + r, 6 + r : 9 + r] = matrix
     return out

@@ -269,6 +269,7 @@ class GaitProblem:
             beta=beta,
             mu=mu,
             amplitude=self.dynamics.body.amplitude,
+            **self.dynamics.stepping,
             meta=meta,
         )
 

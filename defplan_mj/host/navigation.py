@@ -67,7 +67,7 @@ class Navigate(base.Task):
         Args:
             gait: its tasks are the actions.
             sampler: draws the scene of an episode; not used once `scene` is set.
-            rest: (13 + 2r,) the state at rest, where the robot starts.
+            rest: (13 + 3r,) the state at rest, where the robot starts.
             scene: keep to this one.
             feedback: plays the gaits; None: as they are, in open loop.
             time_limit: s, ends the episode as a timeout.
@@ -294,8 +294,9 @@ def navigation_environment(
         space=navigation.space,
         terrain=terrain,
         texture=texture_of(body),
+        stepping=gait.stepping,
     )
-    rest = ReducedDynamics(body, gait.timestep, terrain).rest_state()
+    rest = ReducedDynamics(body, gait.timestep, terrain, **gait.stepping).rest_state()
     task = Navigate(
         gait,
         sampler,

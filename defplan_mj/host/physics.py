@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,18 +16,19 @@ from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.plugin import load_plugin
 from defplan_mj.host.scene import ROBOT, TARGET, TERRAIN
 from defplan_mj.kernel.library import kernel
+from defplan_mj.kernel.pack import stepping_of
 from defplan_mj.planning.scenes import Scene
 
 load_plugin()  # on import, since a pickled Physics needs it before any of its code runs
 
 # indices into plugin_state (plugin.c)
-_ITERATIONS, _RESIDUAL, _FAILED = 1, 2, 3
+_ITERATIONS, _RESIDUAL, _FAILED, _DIVISION = 1, 2, 3, 4
 
 
 class Physics(engine.Physics):
     """A model of `scene.build_spec` under way.
 
-    The robot is the model's first body, so its state is the first 7 + r of qpos, 6 + r of qvel.
+    The robot is the model's first body, so its state is the first 7 + r of qpos, 6 + r of qvel, r of act.
     """
 
     _shape_of: Callable[[np.ndarray], np.ndarray] | None = None
@@ -36,6 +38,11 @@ class Physics(engine.Physics):
     def from_mjmodel(cls, model: mujoco.MjModel) -> Physics:
         """Return a Physics at rest of a compiled model."""
         return cls.from_model(wrapper.MjModel(model))
+
+    @property
+    def stepping(self) -> dict[str, Any]:
+        """'substeps' and 'integrator' of the reduced dynamics."""
+        return stepping_of(self._numeric("defplan_options"))
 
     # ---- the reduced state
 
@@ -50,15 +57,18 @@ class Physics(engine.Physics):
         return self._numeric("defplan_scale").size
 
     def reduced_state(self) -> np.ndarray:
-        """Return a copy of the state (13 + 2r,) as kernel.h lays it out."""
+        """Return a copy of the state (13 + 3r,) as kernel.h lays it out."""
         r = self.n_modes
-        return np.concatenate([self.data.qpos[: 7 + r], self.data.qvel[: 6 + r]])
+        return np.concatenate(
+            [self.data.qpos[: 7 + r], self.data.qvel[: 6 + r], self.data.act[:r]]
+        )
 
     def set_reduced_state(self, state: np.ndarray) -> None:
-        """Set the state (13 + 2r,); use within `reset_context`, or call `forward` afterwards."""
+        """Set the state (13 + 3r,); use within `reset_context`, or call `forward` afterwards."""
         r = self.n_modes
         self.data.qpos[: 7 + r] = state[: 7 + r]
-        self.data.qvel[: 6 + r] = state[7 + r :]
+        self.data.qvel[: 6 + r] = state[7 + r : 13 + 2 * r]
+        self.data.act[:r] = state[13 + 2 * r :]
 
     def target_shape(self) -> np.ndarray:
         """Return the target shape (r,) that the present controls ask for."""
@@ -67,12 +77,13 @@ class Physics(engine.Physics):
         return self._numeric("defplan_scale") * np.clip(self.data.ctrl[:r], low, high)
 
     def solver(self) -> dict[str, float]:
-        """Return 'iterations' and 'residual' of the last step, 'failed' solves since the reset."""
+        """Return 'iterations', 'residual' and 'division' of the last step, 'failed' solves since the reset."""
         state = self.data.plugin_state
         return {
             "iterations": float(state[_ITERATIONS]),
             "residual": float(state[_RESIDUAL]),
             "failed": float(state[_FAILED]),
+            "division": float(state[_DIVISION]),
         }
 
     # ---- measurements

@@ -13,7 +13,7 @@
  *   kernel's par; its time step is overwritten by opt.timestep), `scale` (target shape at ctrl = 1) and
  *   `terrain` (what the body stands on; without it there is no contact);
  *   its actuators, in order: their joints are the modal coordinates, slides on children of the body
- *   that carries the free joint; body_user (if 3 numbers) is the velocity of a mocap obstacle.
+ *   that carries the free joint, and their activations the last target shape; body_user (if 3 numbers) is the velocity of a mocap obstacle.
  * What it keeps is in plugin_state, laid out by the ST_* indices. It allocates nothing. */
 #include <math.h>
 #include <string.h>
@@ -22,13 +22,14 @@
 
 #include "kernel.h"
 
-enum { MAX_STATE = 13 + 2*DP_MAX_MODES };
+enum { MAX_STATE = 13 + 3*DP_MAX_MODES };
 
 enum {             /* indices of plugin_state */
   ST_READY,        /* 1 between compute and advance: ST_X holds the start of the step */
   ST_ITERATIONS,   /* Newton iterations of the last step */
   ST_RESIDUAL,     /* size of its last Newton step */
   ST_FAILED,       /* failed solves since the reset */
+  ST_DIVISION,     /* into how many parts the substeps of the last step had to be divided */
   ST_X,            /* state at the start of the step */
   ST_SIZE = ST_X + MAX_STATE
 };
@@ -43,7 +44,7 @@ static const char* const DEFAULTS[] = {"defplan_body", "defplan_options", "defpl
 typedef struct {
   int r, root;                        /* modes; body of the free joint */
   int qpos_root, dof_root;            /* addresses of the free joint */
-  int ctrl[DP_MAX_MODES], qpos[DP_MAX_MODES], dof[DP_MAX_MODES];
+  int ctrl[DP_MAX_MODES], act[DP_MAX_MODES], qpos[DP_MAX_MODES], dof[DP_MAX_MODES];
   const mjtNum *blob, *options, *scale, *terrain; /* terrain may be NULL */
 } layout;
 
@@ -80,7 +81,9 @@ static const char* find_layout(const mjModel* m, int instance, layout* at) {
       return "its actuators must drive slide joints";
     }
     if (at->r == sizes[0]) return "more actuators than modes";
+    if (m->actuator_actnum[i] != 1) return "its actuators must have one activation each: the last target";
     at->ctrl[at->r] = m->actuator_ctrladr[i];
+    at->act[at->r] = m->actuator_actadr[i];
     at->qpos[at->r] = m->jnt_qposadr[joint];
     at->dof[at->r++] = m->jnt_dofadr[joint];
   }
@@ -101,6 +104,7 @@ static void get_state(const mjData* d, const layout* at, double* x) {
   for (int i = 0; i < at->r; i++) {
     x[7 + i] = d->qpos[at->qpos[i]];
     x[13 + at->r + i] = d->qvel[at->dof[i]];
+    x[13 + 2*at->r + i] = d->act[at->act[i]];
   }
 }
 
@@ -110,6 +114,7 @@ static void set_state(mjData* d, const layout* at, const double* x) {
   for (int i = 0; i < at->r; i++) {
     d->qpos[at->qpos[i]] = x[7 + i];
     d->qvel[at->dof[i]] = x[13 + at->r + i];
+    d->act[at->act[i]] = x[13 + 2*at->r + i];
   }
 }
 
@@ -220,7 +225,7 @@ static void plugin_advance(const mjModel* m, mjData* d, int instance) {
   if (!state[ST_READY]) return;
 
   double par[DP_N_PAR], u[DP_MAX_MODES], x[MAX_STATE];
-  dp_info info = {0, 0, 0, 0};
+  dp_info info = {0, 0, 0, 0, 0};
   memcpy(par, at.options, sizeof(par));
   par[DP_TIMESTEP] = m->opt.timestep;
   get_target(m, d, &at, instance, u);
@@ -231,6 +236,7 @@ static void plugin_advance(const mjModel* m, mjData* d, int instance) {
   state[ST_ITERATIONS] = info.iterations;
   state[ST_RESIDUAL] = info.residual;
   state[ST_FAILED] += info.failed;
+  state[ST_DIVISION] = info.division;
 }
 
 /* Write the deformed surface into the vertices of the skin whose only bone is the body. */

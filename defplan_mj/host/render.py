@@ -135,7 +135,7 @@ def render_states(
     """Draw states in their scene: a video, a picture, or frames.
 
     Args:
-        states: (n, 13 + 2r), `timestep` apart, the first at time 0.
+        states: (n, 13 + 3r), `timestep` apart, the first at time 0.
         path: an .mp4 or .gif file takes all frames in real time; a .png takes the last state, with
             the way to it; None returns the frames.
         size: width, height in pixels.
@@ -194,7 +194,7 @@ def _frames(
         offscreen.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera != MAP  # to scale
         for index in indices:
             data.time = index * timestep
-            data.qpos[:], data.qvel[:] = states[index, : 7 + r], states[index, 7 + r :]
+            data.qpos[:], data.qvel[:] = states[index, : 7 + r], states[index, 7 + r : 13 + 2 * r]
             if scene is not None:
                 set_scene(model, data, scene)
             mujoco.mj_kinematics(model, data)

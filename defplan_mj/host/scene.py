@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -40,6 +44,7 @@ def build_spec(
     space: str = "planar",
     terrain: Terrain | None = None,
     texture: np.ndarray | None = None,
+    stepping: Mapping[str, Any] = MappingProxyType({}),
 ) -> mujoco.MjSpec:
     """Describe a robot with `body` that floats at the origin, a target, parked obstacles and cameras.
 
@@ -58,6 +63,7 @@ def build_spec(
         space: 'planar' or 'spatial', see task.Navigation; the laser is of the same kind.
         terrain: what the robot stands on, in the air; without it it swims.
         texture: of the skin, see `skin.add_skin`.
+        stepping: 'substeps' and 'integrator' of `ReducedDynamics`, if not the default ones.
     """
     load_plugin()
     spec = mujoco.MjSpec()
@@ -72,7 +78,7 @@ def build_spec(
         add_terrain(spec, terrain, "grid")
     elif space == "planar":  # in space it is open water all around
         _add_sea_bed(spec)
-    _add_robot(spec, body, timestep, normalised_controls, space)
+    _add_robot(spec, body, timestep, normalised_controls, space, stepping)
     skin.add_skin(spec, body, ROBOT, "self", texture)
     spec.add_numeric(name="laser", data=[float(beams), laser_range, float(SPACES[space])])
     # a site away from its body's origin: one compiled at the origin could not be moved
@@ -97,12 +103,17 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _add_robot(
-    spec: mujoco.MjSpec, body: Body, timestep: float, normalised: bool, space: str
+    spec: mujoco.MjSpec,
+    body: Body,
+    timestep: float,
+    normalised: bool,
+    space: str,
+    stepping: Mapping[str, Any],
 ) -> None:
     """Add the free joint, the modal slide joints, their actuators, the plugin and its data."""
     amplitude = np.asarray(body.amplitude, float)
     spec.add_numeric(name="defplan_body", data=pack_body(body))
-    spec.add_numeric(name="defplan_options", data=pack_options(body, timestep))
+    spec.add_numeric(name="defplan_options", data=pack_options(body, timestep, **stepping))
     scale = amplitude if normalised else np.ones(body.n_modes)
     spec.add_numeric(name="defplan_scale", data=scale)
     spec.add_text(name="body_hash", data=body.hash)
@@ -148,6 +159,9 @@ def _add_robot(
             target=f"mode_{mode}",
             ctrllimited=True,
             ctrlrange=[-limit, limit],
+            # the activation holds the last target; nothing but the plugin changes it
+            dyntype=mujoco.mjtDyn.mjDYN_USER,
+            actdim=1,
         ).plugin = plugin
     spec.add_sensor(name="clearance", type=mujoco.mjtSensor.mjSENS_PLUGIN).plugin = plugin
 

@@ -46,7 +46,7 @@ int dp_slot_open(const dp_model* m, int steps) {
     Slot* s = slots + i;
     int unused = 0;
     if (!atomic_compare_exchange_strong(&s->references, &unused, -1)) continue;
-    const size_t nu = p.nu, nx = 13 + 2 * (size_t)p.body.r, kept = steps > 1 ? nx + (nu + nx) * steps : 0;
+    const size_t nu = p.nu, nx = 13 + 3 * (size_t)p.body.r, kept = steps > 1 ? nx + (nu + nx) * steps : 0;
     const size_t body = (size_t)m->body[2], terrain = m->terrain ? (size_t)m->terrain[0] : 0;
     const size_t feet = m->feet ? (size_t)m->feet[0] : 0;
     double* to = s->memory = malloc((body + terrain + feet + DP_N_PAR + N_KEPT * kept) * sizeof(double));
@@ -186,7 +186,7 @@ static int feet_at(const Slot* s, const double** arg, double** res, double* w) {
 }
 
 static int feet_jacobian(const Slot* s, const double** arg, double** res, double* w) {
-  const int n = 3 * s->n_feet, nq = s->nx - (s->nx - 13) / 2 - 6;
+  const int n = 3 * s->n_feet, nq = 7 + (s->nx - 13) / 3;
   double points[3 * DP_MAX_FEET], *jacobian = w + s->nx;
   if (!res[0]) return 0;
   read(arg[0], s->nx, w);

@@ -46,6 +46,7 @@ typedef struct {
   double stiffness; /* N/m^2: normal force of a point at depth d below the rounding, stiffness d^2 */
   double thickness; /* m: contact begins at this distance */
   double slip;      /* m/s: rounds Coulomb's law at rest */
+  double damping;   /* s/m: how the normal force grows with the speed of the approach */
   int n_geoms, rows, columns;
   double centre[3], half[2], top; /* heightfield: x y of its centre, z of height 0; extent; largest height */
   const double* geoms;        /* n_geoms x (type, size 3, pos 3, mat 9) = n_geoms x 16 */
@@ -138,41 +139,58 @@ static inline void so3_left_jacobian(const double* w, int inverse, double* J) {
 }
 
 /* --- out (m x n) = A B: A_ik = a[i row + k col], B (inner x n) and out with rows n apart, n a
- * multiple of 8. Sums are kept in registers: this is where a step spends its time. */
-typedef double Vec __attribute__((vector_size(64), may_alias));
-typedef Vec AnyVec __attribute__((aligned(8))); /* as Vec, anywhere in memory */
+ * multiple of 8. Sums are kept in registers (six rows of eight columns fill the sixteen that AVX2 and
+ * most others have): this is where a step spends its time. */
+enum { LANES = 4 };
+typedef double Vec __attribute__((vector_size(8 * LANES), may_alias));
+typedef double AnyVec __attribute__((vector_size(8 * LANES), may_alias, aligned(8))); /* anywhere in memory */
 
-static inline __attribute__((always_inline)) void multiply_block(int rows, int vecs, const double* a, int row,
-                                                                 int col, const double* b, int inner, int n,
+static inline __attribute__((always_inline)) void multiply_block(int rows, const double* a, int row, int col,
+                                                                 const double* b, int inner, int n,
                                                                  double* out) {
   Vec sums[6][2];
-  for (int i = 0; i < rows; i++)
-    for (int v = 0; v < vecs; v++) sums[i][v] = (Vec){0};
+  for (int i = 0; i < rows; i++) sums[i][0] = sums[i][1] = (Vec){0};
   for (int k = 0; k < inner; k++) {
-    Vec line[2];
-    for (int v = 0; v < vecs; v++) line[v] = *(const AnyVec*)(b + (size_t)k * n + 8 * v);
-    for (int i = 0; i < rows; i++)
-      for (int v = 0; v < vecs; v++) sums[i][v] += a[(size_t)i * row + (size_t)k * col] * line[v];
+    const Vec left = *(const AnyVec*)(b + (size_t)k * n), right = *(const AnyVec*)(b + (size_t)k * n + LANES);
+    for (int i = 0; i < rows; i++) {
+      const double factor = a[(size_t)i * row + (size_t)k * col];
+      sums[i][0] += factor * left, sums[i][1] += factor * right;
+    }
   }
-  for (int i = 0; i < rows; i++)
-    for (int v = 0; v < vecs; v++) *(AnyVec*)(out + (size_t)i * n + 8 * v) = sums[i][v];
+  for (int i = 0; i < rows; i++) {
+    *(AnyVec*)(out + (size_t)i * n) = sums[i][0], *(AnyVec*)(out + (size_t)i * n + LANES) = sums[i][1];
+  }
+}
+/* One row: four blocks of columns at once, so that the sums do not wait for each other. */
+static inline void multiply_row(const double* a, int col, const double* b, int inner, int n, double* out) {
+  int j = 0;
+  for (; j + 32 <= n; j += 32) {
+    Vec sums[8];
+    for (int v = 0; v < 8; v++) sums[v] = (Vec){0};
+    for (int k = 0; k < inner; k++) {
+      const double factor = a[(size_t)k * col];
+      for (int v = 0; v < 8; v++) sums[v] += factor * *(const AnyVec*)(b + (size_t)k * n + j + LANES * v);
+    }
+    for (int v = 0; v < 8; v++) *(AnyVec*)(out + j + LANES * v) = sums[v];
+  }
+  for (; j < n; j += 8) multiply_block(1, a, 0, col, b + j, inner, n, out + j);
 }
 static inline void multiply(int m, const double* a, int row, int col, const double* b, int inner, int n,
                             double* out) {
+  if (m == 1) {
+    multiply_row(a, col, b, inner, n, out);
+    return;
+  }
   for (int i = 0; i < m;) {
-    const int rows = m - i > 6 ? 5 : m - i;
-    for (int j = 0; j < n;) {
-      const int vecs = n - j >= 16 ? 2 : 1;
+    const int rows = m - i > 6 ? (m - i < 10 ? 5 : 6) : m - i;
+    for (int j = 0; j < n; j += 8) {
       const double *A = a + (size_t)i * row, *B = b + j;
       double* o = out + (size_t)i * n + j;
-      switch (2 * rows + vecs) { /* constant arguments: the loops unroll */
-#define BLOCK(R) \
-  case 2 * R + 1: multiply_block(R, 1, A, row, col, B, inner, n, o); break; \
-  case 2 * R + 2: multiply_block(R, 2, A, row, col, B, inner, n, o); break;
+      switch (rows) { /* constant arguments: the loops unroll */
+#define BLOCK(R) case R: multiply_block(R, A, row, col, B, inner, n, o); break;
         BLOCK(1) BLOCK(2) BLOCK(3) BLOCK(4) BLOCK(5) BLOCK(6)
 #undef BLOCK
       }
-      j += 8 * vecs;
     }
     i += rows;
   }

@@ -1,11 +1,12 @@
-/* The reduced step of a soft body: one implicit step of (c, R, q) under a target shape, with its
+/* The reduced step of a soft body: a step of (c, R, q) under a target shape, in substeps, with its
  * exact derivatives, rollouts, and distance queries. Plain C11; no allocation, no global state:
  * every call reads arrays of doubles that kernel/pack.py lays out (the body's `blob` and what else a
  * dp_model names) and is thread-safe. SI units; world z is up.
  *
- * State x, 13 + 2r doubles, in MuJoCo's order:
+ * State x, 13 + 3r doubles, in MuJoCo's order:
  *   qpos: c (3, world), unit quaternion w x y z (4), q (r)
- *   qvel: v (3, world), angular velocity (3, body frame), dq/dt (r)
+ *   qvel: v (3, world), angular velocity (3, body frame), dq/dt (r): differences over the last substep
+ *   act: the last target shape (r), from which the next one is reached by a ramp
  * Input u, r + 3 n_feet doubles: target shape (r), then a world force (N) on each foot of the model.
  * Options `par`, DP_N_PAR doubles: see the DP_* indices. */
 #ifndef DEFPLAN_KERNEL_H
@@ -29,9 +30,13 @@ enum {               /* indices of par */
   DP_RIGHTING,       /* metacentric height, m */
   DP_TOLERANCE,      /* largest last Newton step: m, rad, units of q */
   DP_MAX_NEWTON,     /* iterations */
+  DP_SUBSTEPS,       /* of a step */
+  DP_INTEGRATOR,     /* DP_VARIATIONAL or DP_IMPLICIT_EULER */
   DP_N_PAR
 };
 
+enum { DP_VARIATIONAL, DP_IMPLICIT_EULER };
+enum { DP_MAX_SUBSTEPS = 64, DP_MAX_DIVISION = 64 }; /* of a step; how far a substep is divided if need be */
 enum { DP_MAX_MODES = 16, DP_MAX_BASIS = 64, DP_MAX_SAMPLES = 40, DP_MAX_POINTS = 512 };
 enum { DP_MAX_CONTACTS = 192, DP_MAX_FEET = 16, DP_MAX_INPUT = DP_MAX_MODES + 3 * DP_MAX_FEET };
 
@@ -51,9 +56,10 @@ typedef struct {
 } dp_geom;
 
 typedef struct {
-  int iterations; /* Newton iterations, all attempts */
-  int attempts;   /* 1: the first one found the solution */
-  int failed;     /* 1: the solve did not reach the tolerance */
+  int iterations; /* Newton iterations, all attempts of all substeps */
+  int attempts;   /* the largest number of attempts of a substep; 1: the first one found the solution */
+  int failed;     /* 1: a solve did not reach the tolerance */
+  int division;   /* into how many parts the substeps had to be divided; 1: none */
   double residual; /* size of the last Newton step */
 } dp_info;
 
@@ -65,7 +71,10 @@ DP_API int dp_check_feet(const double* blob, const double* feet, size_t n);
 /* r, k, number of drag patches, number of surface points, number of contact points */
 DP_API void dp_sizes(const double* blob, int sizes[5]);
 
-/* One step. Returns 0, or 1 if the solve failed (x_next is then the best iterate, always finite). */
+/* Size of a state of a body with r modes. */
+DP_API int dp_state_size(const double* blob);
+/* One step. Returns 0, or 1 if the solve failed, or something given is not finite: x_next is then x with
+ * what is not finite taken out. A substep without a solution is divided. */
 DP_API int dp_step(const dp_model* m, const double* x, const double* u,
                    double* x_next, dp_info* info);
 /* The same from a state (nx) near the solution, of which the configuration counts: fewer iterations.

@@ -1,6 +1,6 @@
 /* Rotation-strain kinematics: zeta(q) = (1, z(q)) with its first and second derivatives, and the
  * linear maps over the basis. F_e = exp([w]) (I + E), w and E linear in q (Pan et al. [22]). */
-#include "internal.h"
+#include "work.h"
 
 enum { FEET_HEADER = 8 }; /* size, number */
 
@@ -41,6 +41,22 @@ int dp_check(const double* blob, size_t n) {
   return body_view(&b, blob, n);
 }
 
+int parts_view(Parts* p, const dp_model* m) {
+  p->model = m;
+  if (body_view(&p->body, m->body, (size_t)m->body[2])) return -1;
+  if (terrain_view(&p->terrain, m->terrain, m->terrain ? (size_t)m->terrain[0] : 0)) return -1;
+  if (feet_view(&p->feet, &p->body, m->feet, m->feet ? (size_t)m->feet[0] : 0)) return -1;
+  p->nu = p->body.r + 3 * p->feet.n, p->substeps = 1, p->euler = 0;
+  const double* par = m->par;
+  if (!par) return 0; /* geometry only */
+  for (int i = 0; i < DP_N_PAR; i++)
+    if (!isfinite(par[i])) return -2;
+  if (!(par[DP_TIMESTEP] > 0 && par[DP_TIMESTEP] < 1e6)) return -2;
+  if (!(par[DP_SUBSTEPS] >= 1 && par[DP_SUBSTEPS] <= DP_MAX_SUBSTEPS)) return -2;
+  p->substeps = (int)par[DP_SUBSTEPS], p->euler = par[DP_INTEGRATOR] == DP_IMPLICIT_EULER;
+  return 0;
+}
+
 void dp_sizes(const double* blob, int sizes[5]) {
   static const int at[5] = {3, 4, 6, 7, 10};
   for (int i = 0; i < 5; i++) sizes[i] = (int)blob[at[i]];
@@ -72,7 +88,7 @@ static const double EXP_SERIES[6][7] = {
     {1. / 90., -1. / 1680., 1. / 75600., -1. / 5987520., 1. / 726485760., -1. / 124540416000., 1. / 28582025472000.}, /* b2 */
 };
 
-/* out[0], out[8], ...: a, b, a1, b1, a2, b2, each in a lane of its vector */
+/* out[0], out[LANES], ...: a, b, a1, b1, a2, b2, each in a lane of its vector */
 static void exp_coef(double t2, double* out) {
   double s[6] = {0};
   if (t2 < .25) { /* series: the closed forms lose digits near zero */
@@ -84,18 +100,18 @@ static void exp_coef(double t2, double* out) {
     s[2] = (cs - s[0]) / t2, s[3] = (s[0] - 2 * s[1]) / t2;
     s[4] = -(s[0] + 3 * s[2]) / t2, s[5] = (s[2] - 4 * s[3]) / t2;
   }
-  for (int j = 0; j < 6; j++) out[PAD * j] = s[j];
+  for (int j = 0; j < 6; j++) out[LANES * j] = s[j];
 }
 
-/* Samples are worked on eight at a time: every quantity below is a vector over a block of eight.
+/* Samples are worked on four at a time: every quantity below is a vector over a block of four.
  * The scratch keeps, a block: x (9), D = dexp/dw (27), E = exp (9), coefficients (6); then the
  * features f (nf), their derivatives (r x nf), and for the curvature A (nf). */
 enum { PER_BLOCK = 9 + 27 + 9 + 6 };
 
-static int n_blocks(const Body* b) { return (b->n_samples + PAD - 1) / PAD; }
+static int n_blocks(const Body* b) { return padded(b->n_samples) / LANES; }
 
 size_t kinematics_scratch(const Body* b) {
-  return (size_t)PER_BLOCK * PAD * n_blocks(b) + (size_t)b->nf * (2 + b->r);
+  return (size_t)PER_BLOCK * LANES * n_blocks(b) + (size_t)b->nf * (2 + b->r);
 }
 
 static void strain_matrix(const Vec* x, Vec* Y) { /* I + strain, x = (w, e11 e12 e13 e22 e23 e33) */
@@ -106,18 +122,18 @@ static Vec load(const double* p) { return *(const AnyVec*)p; }
 
 void kinematics(const Body* b, const double* q, int derivatives, double* restrict zeta,
                 double* restrict scratch) {
-  const int r = b->r, nf = b->nf, blocks = n_blocks(b), lanes = PAD * blocks;
+  const int r = b->r, nf = b->nf, blocks = n_blocks(b), lanes = LANES * blocks;
   double* restrict f = scratch + PER_BLOCK * lanes;
   double* restrict df = f + nf;
   for (int e = 0; e < blocks; e++) {
-    const double* L = b->features + PAD * e; /* 9 x r x lanes */
+    const double* L = b->features + LANES * e; /* 9 x r x lanes */
     Vec *x = (Vec*)scratch + PER_BLOCK * e, *D = x + 9, *E = D + 27, *coef = E + 9, Y[9], W[9];
     for (int i = 0; i < 9; i++) {
       x[i] = (Vec){0};
       for (int c = 0; c < r; c++) x[i] += load(L + (i * r + c) * lanes) * q[c];
     }
     const Vec t2 = x[0] * x[0] + x[1] * x[1] + x[2] * x[2];
-    for (int lane = 0; lane < PAD; lane++) exp_coef(t2[lane], (double*)coef + lane);
+    for (int lane = 0; lane < LANES; lane++) exp_coef(t2[lane], (double*)coef + lane);
     const Vec a = coef[0], bb = coef[1], a1 = coef[2], b1 = coef[3], zero = {0};
     strain_matrix(x, Y);
     W[0] = W[4] = W[8] = zero, W[1] = -x[2], W[2] = x[1], W[3] = x[2], W[5] = -x[0], W[6] = -x[1], W[7] = x[0];
@@ -126,7 +142,7 @@ void kinematics(const Body* b, const double* q, int derivatives, double* restric
     for (int i = 0; i < 3; i++) E[4 * i] += 1 - bb * t2;
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++)
-        *(Vec*)(f + (3 * i + j) * lanes + PAD * e) =
+        *(Vec*)(f + (3 * i + j) * lanes + LANES * e) =
             E[3 * i] * Y[j] + E[3 * i + 1] * Y[3 + j] + E[3 * i + 2] * Y[6 + j] - (double)(i == j);
     if (!derivatives) continue;
     for (int n = 0; n < 3; n++) { /* D_n = dE/dw_n */
@@ -149,7 +165,7 @@ void kinematics(const Body* b, const double* q, int derivatives, double* restric
           Vec s = zero;
           for (int n = 0; n < 3; n++) s += g[n] * load(L + (n * r + c) * lanes);
           for (int l = 0; l < 3; l++) s += E[3 * i + l] * load(L + (strain_index[3 * l + j] * r + c) * lanes);
-          *(Vec*)(df + (size_t)c * nf + (3 * i + j) * lanes + PAD * e) = s;
+          *(Vec*)(df + (size_t)c * nf + (3 * i + j) * lanes + LANES * e) = s;
         }
       }
   }
@@ -159,15 +175,15 @@ void kinematics(const Body* b, const double* q, int derivatives, double* restric
 
 void kinematics_curvature(const Body* b, const double* grad, double* restrict scratch,
                           double* restrict hess) {
-  const int rp = b->rp, r = b->r, nf = b->nf, blocks = n_blocks(b), lanes = PAD * blocks;
+  const int rp = b->rp, r = b->r, nf = b->nf, blocks = n_blocks(b), lanes = LANES * blocks;
   double* restrict As = scratch + PER_BLOCK * lanes + (size_t)nf * (1 + r);
   multiply(1, grad, 0, 1, b->weights, b->k + 1, nf, As);
   for (int e = 0; e < blocks; e++) {
-    const double* L = b->features + PAD * e;
+    const double* L = b->features + LANES * e;
     const Vec *x = (const Vec*)scratch + PER_BLOCK * e, *D = x + 9, *coef = x + 45;
     const Vec bb = coef[1], a1 = coef[2], b1 = coef[3], a2 = coef[4], b2 = coef[5], zero = {0};
     Vec A[9], Y[9], AY[9], al[3], Bw[3], Hw[9], Hm[18]; /* second derivatives: w w (3 x 3), w strain (3 x 6) */
-    for (int i = 0; i < 9; i++) A[i] = load(As + i * lanes + PAD * e);
+    for (int i = 0; i < 9; i++) A[i] = load(As + i * lanes + LANES * e);
     strain_matrix(x, Y);
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++)
@@ -207,7 +223,7 @@ void kinematics_curvature(const Body* b, const double* grad, double* restrict sc
         Vec s = zero;
         for (int i = 0; i < 9; i++) s += T[i] * load(L + (i * r + d) * lanes);
         double total = 0;
-        for (int lane = 0; lane < PAD; lane++) total += s[lane];
+        for (int lane = 0; lane < LANES; lane++) total += s[lane];
         hess[c * rp + d] += total;
       }
     }

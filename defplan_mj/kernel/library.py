@@ -15,12 +15,13 @@ PATH = Path(__file__).with_name("libdefplan_kernel.so")
 
 
 class Info(ctypes.Structure):
-    """dp_info: Newton iterations, attempts, failure flag, size of the last Newton step."""
+    """dp_info: Newton iterations, attempts, failure flag, parts of a substep, size of the last Newton step."""
 
     _fields_ = [
         ("iterations", c_int),
         ("attempts", c_int),
         ("failed", c_int),
+        ("division", c_int),
         ("residual", c_double),
     ]
 

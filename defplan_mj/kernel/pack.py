@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from defplan_mj.body.model import Body
@@ -84,19 +86,44 @@ def pack_body(body: Body) -> np.ndarray:
     return np.concatenate([header, *(np.ascontiguousarray(s).ravel() for s in sections)])
 
 
+INTEGRATORS = {"variational": 0.0, "implicit-euler": 1.0}  # kernel.h: DP_INTEGRATOR
+MAX_SUBSTEPS = 64
+
+
 def pack_options(
-    body: Body, timestep: float, tolerance: float = 1e-7, max_newton: int = 60
+    body: Body,
+    timestep: float,
+    tolerance: float = 1e-7,
+    max_newton: int = 60,
+    substeps: int = 2,
+    integrator: str = "variational",
 ) -> np.ndarray:
     """Return the kernel's options (kernel.h: DP_*) for `body` at `timestep` (s).
 
     `tolerance` bounds the last Newton step that is still followed by no other (m, rad, units of q);
     convergence is quadratic, so the state is then exact to about its square.
+
+    Raises:
+        DefplanError: there is no such integrator or number of substeps.
     """
+    if integrator not in INTEGRATORS:
+        known = " or ".join(INTEGRATORS)
+        raise DefplanError(f"there is no integrator {integrator!r}: take {known}")
+    if not 1 <= substeps <= MAX_SUBSTEPS:
+        raise DefplanError(f"substeps is {substeps}: it must lie between 1 and {MAX_SUBSTEPS}")
+    if not 0.0 < timestep < 1e6:
+        raise DefplanError(f"the time step is {timestep} s: it must be positive")
     medium, material = body.medium, body.material
     return np.array(
         [
             *(timestep, medium.density, medium.drag_normal, medium.drag_tangential),
             *(material.control_stiffness, material.damping, medium.gravity, medium.righting_height),
-            *(tolerance, float(max_newton)),
+            *(tolerance, float(max_newton), float(substeps), INTEGRATORS[integrator]),
         ]
     )
+
+
+def stepping_of(par: np.ndarray) -> dict[str, Any]:
+    """Return 'substeps' and 'integrator' of the kernel's options."""
+    integrator = next(name for name, value in INTEGRATORS.items() if value == par[11])
+    return {"substeps": int(par[10]), "integrator": integrator}

@@ -10,8 +10,8 @@ int terrain_view(Terrain* t, const double* terrain, size_t n) {
   t->friction = terrain[1], t->stiffness = terrain[2], t->thickness = terrain[3], t->slip = terrain[4];
   t->n_geoms = (int)terrain[5], t->rows = (int)terrain[6], t->columns = (int)terrain[7];
   memcpy(t->centre, terrain + 8, sizeof t->centre), memcpy(t->half, terrain + 11, sizeof t->half);
-  t->top = terrain[13];
-  if (!(t->friction >= 0 && t->stiffness > 0 && t->thickness > 0 && t->slip > 0)) return -4;
+  t->top = terrain[13], t->damping = terrain[14];
+  if (!(t->friction >= 0 && t->stiffness > 0 && t->thickness > 0 && t->slip > 0 && t->damping >= 0)) return -4;
   if (t->n_geoms < 0 || t->rows < 0 || t->columns < 0) return -4;
   if (t->rows > 0 && (t->rows < 2 || t->columns < 2 || !(t->half[0] > 0 && t->half[1] > 0))) return -4;
   t->geoms = terrain + TERRAIN_HEADER;

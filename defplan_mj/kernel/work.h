@@ -8,6 +8,12 @@ static const double SPEED2 = 1e-4; /* m^2/s^2: rounds the tangential drag at res
 static const double STANDARD_GRAVITY = 9.81;
 
 enum { MAX_N = 6 + DP_MAX_MODES, ROW = 24 }; /* unknowns; a padded row of them */
+enum { MAX_STATE = 13 + 3 * DP_MAX_MODES };
+
+/* A configuration. */
+typedef struct {
+  double c[3], quat[4], q[DP_MAX_MODES];
+} Pose;
 
 typedef struct {
   double* next;
@@ -22,11 +28,13 @@ static inline double* take(Arena* arena, size_t n) {
 /* What a step needs in memory; everything is taken from one array on the caller's stack. */
 typedef struct {
   const Body* body;
-  const double *par, *u;
+  const double *par, *u; /* options; target at the end of the substep (r), then forces on the feet */
+  double h;              /* substep, s */
+  const double* origin;  /* world; what places are told from */
   Feet feet;
   Terrain terrain;
   Config now, one, two; /* the iterate, the last configuration, the one before */
-  double q_two[DP_MAX_MODES], q_now[DP_MAX_MODES];
+  double q_one[DP_MAX_MODES], q_two[DP_MAX_MODES], q_now[DP_MAX_MODES];
   double guess[3];                  /* c^ */
   double *scratch, *scratch_lagged; /* kinematics */
   double *P, *W;                    /* 9 x kp */
@@ -52,11 +60,12 @@ static inline size_t work_size(const Body* b, const Terrain* t, const Feet* f) {
          2 * (r * 3 * np) + kp + 9 * kp + 3 * f->np * (2 + r) + 3 * nc * (5 + r + kp) + 18 * nc;
 }
 
+/* `memory` is 64-byte aligned. */
 static inline void work_init(Work* w, double* memory, const Body* b, const dp_model* model, const Terrain* t,
-                             const Feet* f, const double* u) {
-  Arena arena = {(double*)(((size_t)memory + 63) / 64 * 64)};
+                             const Feet* f) {
+  Arena arena = {memory};
   size_t kp = b->kp, np = b->np, r = b->r, nc = terrain_parts(t) ? b->nc : 0;
-  w->body = b, w->par = model->par, w->u = u, w->feet = *f, w->terrain = *t;
+  w->body = b, w->par = model->par, w->feet = *f, w->terrain = *t;
   Config* all[3] = {&w->now, &w->one, &w->two};
   for (int i = 0; i < 3; i++) all[i]->zeta = take(&arena, (1 + r) * kp), all[i]->dz = all[i]->zeta + kp;
   w->scratch = take(&arena, kinematics_scratch(b)), w->scratch_lagged = take(&arena, kinematics_scratch(b));
@@ -82,21 +91,12 @@ typedef struct {
   Body body;
   Terrain terrain;
   Feet feet;
-  int nu; /* size of an input */
+  int nu;              /* size of an input */
+  int substeps, euler; /* of a step; whether implicit Euler is the integrator */
 } Parts;
 
-static inline int parts_view(Parts* p, const dp_model* m) {
-  p->model = m;
-  if (body_view(&p->body, m->body, (size_t)m->body[2])) return 1;
-  if (terrain_view(&p->terrain, m->terrain, m->terrain ? (size_t)m->terrain[0] : 0)) return 1;
-  if (feet_view(&p->feet, &p->body, m->feet, m->feet ? (size_t)m->feet[0] : 0)) return 1;
-  p->nu = p->body.r + 3 * p->feet.n;
-  return 0;
-}
-#define WORK(w, p, u)                                                         \
-  double memory_of_##w[work_size(&(p)->body, &(p)->terrain, &(p)->feet)];      \
-  Work w;                                                                      \
-  work_init(&w, memory_of_##w, &(p)->body, (p)->model, &(p)->terrain, &(p)->feet, u)
+/* 0, or a negative code if something about the model cannot be. */
+int parts_view(Parts* p, const dp_model* m);
 
 /* out (3 x n) = R in, points or vectors as structure of arrays */
 static inline void rotate(const double* R, const double* restrict in, int n, double* restrict out) {
@@ -132,16 +132,21 @@ static inline void sum_cross(const double* restrict a, const double* restrict b,
   out[0] = x, out[1] = y, out[2] = z;
 }
 
-/* --- energy.c */
-/* The configuration of state x, and the one before it from the velocities. */
-void work_unpack(Work* w, const double* x);
+/* --- step.c */
+/* The last configuration of state x of a body with r modes, and the one before it, h earlier; their places
+ * are told from x's own. */
+void state_nodes(int r, const double* x, double h, Pose* last, Pose* before);
+
+/* --- euler_energy.c */
+/* Take the last configuration and the one before it, their places told from `origin` (world). */
+void work_begin(Work* w, const double* origin, const Pose* before, const Pose* last, const double* u, double h);
 /* Everything of a step that depends on the last two configurations only. With `derivatives`,
  * dz of both as well. */
 void work_prepare(Work* w, int derivatives);
 /* Energy, gradient and Hessian at the iterate w->now, in (c, t, q) with R = exp([t]) R_now. */
 void work_assemble(Work* w);
 
-/* --- contact.c */
+/* --- euler_contact.c */
 /* Where the points that can touch were, after the last configuration is known. */
 void contact_prepare(Work* w);
 /* World positions of those points in configuration cfg (its zeta known), 3 x nc. */
@@ -154,6 +159,22 @@ void forces_hessian(Work* w);
 /* What they add to `mixed` in derivatives.c: for a motion along lambda (dz of zeta), the gradients over
  * the last configuration (out: c and turn; gz: zeta) and over the given forces (gu, may be NULL). */
 void forces_mixed(Work* w, const double* lambda, const double* dz, double* out, double* gz, double* gu);
+
+/* --- euler_solve.c */
+/* Find the next configuration from `guess` or, if NULL, from the free motion; returns 1 if it was found. */
+int euler_solve(Work* w, const Pose* guess, Pose* next, dp_info* info);
+
+/* --- euler_derivatives.c */
+/* The step is solved at `next`: prepare its derivatives. The Hessian is in w->H. */
+void euler_linearise(Work* w, const Pose* next);
+/* Gradients of lambda . dE/dQ by the last configuration, the one before (6 + r) and the input. */
+void euler_pull(Work* w, const double* lambda, double* a1, double* a0, double* au);
+
+/* --- contact_law.c */
+/* Add the force f (3) of a part of the terrain on a point at p with velocity v, and D = -df/dp, F = -df/dv
+ * (3 x 3 each); 0 if it does not touch. mu: coefficient of friction. */
+int contact_law(const Terrain* t, double mu, int part, const double* p, const double* v, double* f, double* D,
+                double* F);
 
 /* --- linear.c */
 /* LU of A with row pivots, in place; 0 if it is singular; the sign of its determinant in *sign. */

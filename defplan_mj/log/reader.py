@@ -81,7 +81,8 @@ class EpisodeLog:
         reason: why, for people.
         task, seed: what was run.
         body_hash: of the body that moved.
-        timestep: s.
+        timestep: of a control step, s.
+        stepping: 'substeps' and 'integrator' of the dynamics.
         configuration: what the run was told to do, as it was given to the recorder.
         versions: what it was run with.
         attachments: file name -> bytes: 'body.npz', 'gait.npz', 'surrogate.npz', 'policy...',
@@ -109,6 +110,7 @@ class EpisodeLog:
     seed: str
     body_hash: str
     timestep: float
+    stepping: dict[str, Any]
     configuration: dict[str, Any]
     versions: dict[str, str]
     attachments: dict[str, bytes]
@@ -330,6 +332,10 @@ def _in_order(path: Path, found: _Contents) -> EpisodeLog:
         seed=identity["seed"],
         body_hash=identity["body_hash"],
         timestep=float(identity["timestep"]),
+        stepping={
+            "substeps": int(identity["substeps"]),
+            "integrator": identity["integrator"],
+        },
         configuration=configuration,
         versions=found.metadata.get(schemas.VERSIONS_RECORD, {}),
         attachments=found.attachments,

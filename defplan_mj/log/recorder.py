@@ -90,7 +90,7 @@ class Recorder:
 
         Args:
             context: JSON-able configuration (task, seed, planner, shield, navigation, ...), with
-                'timestep' (s), 'state' (nx,) at the start and optionally 'time' (s, default 0).
+                'timestep' (s), 'substeps', 'integrator', 'state' (nx,) at the start and optionally 'time' (s, default 0).
             scene: the navigation problem.
 
         Raises:
@@ -100,15 +100,21 @@ class Recorder:
         x = np.array(given.pop("state"), float)
         time = float(given.pop("time", 0.0))
         modes = self._files.body.n_modes
-        if x.shape != (13 + 2 * modes,):
-            raise ValueError(f"state has shape {x.shape}, the body's is ({13 + 2 * modes},)")
+        if x.shape != (13 + 3 * modes,):
+            raise ValueError(f"state has shape {x.shape}, the body's is ({13 + 3 * modes},)")
         if self._given_surface is not None:
             self._surface = self._given_surface
         else:
             # here, not above: reading a log needs no compiled kernel
             from defplan_mj.dynamics.reduced import ReducedDynamics
 
-            dynamics = ReducedDynamics(self._files.body, given["timestep"], self._files.terrain)
+            dynamics = ReducedDynamics(
+                self._files.body,
+                given["timestep"],
+                self._files.terrain,
+                substeps=given["substeps"],
+                integrator=given["integrator"],
+            )
             self._surface = dynamics.surface
             if self._contacts is None and dynamics.terrain is not None:
                 self._contacts = lambda x: _pair(dynamics.contacts(x))
@@ -127,6 +133,8 @@ class Recorder:
             "task": given.get("task", ""),
             "seed": given.get("seed", ""),
             "timestep": given["timestep"],
+            "substeps": given["substeps"],
+            "integrator": given["integrator"],
             "modes": modes,
             "body_hash": self._files.body.hash,
         }

@@ -108,7 +108,7 @@ def replay_log(path: str | Path | EpisodeLog, progress: Progress = no_progress) 
 
     log = path if isinstance(path, EpisodeLog) else read_log(path)
     progress("replay in the kernel", 0.0)
-    dynamics = ReducedDynamics(log.body, log.timestep, log.terrain)
+    dynamics = ReducedDynamics(log.body, log.timestep, log.terrain, **log.stepping)
     states, _ = dynamics.rollout_count(log.states[0], log.target_shapes)
     largest = _largest(log.states, states)
     simulators = ["kernel"]

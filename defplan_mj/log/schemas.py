@@ -11,7 +11,7 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """Version of the log's layout, in the metadata record `defplan`."""
 
 
@@ -89,10 +89,10 @@ END_RECORD = "end"
 
 
 def state_labels(modes: int) -> list[str]:
-    """Return the names of the 13 + 2r numbers of a state, in MuJoCo's order (qpos, then qvel)."""
+    """Return the names of the 13 + 3r numbers of a state, in MuJoCo's order (qpos, qvel, act)."""
     position = ["x", "y", "z", "qw", "qx", "qy", "qz", *shape_labels(modes)]
     velocity = ["vx", "vy", "vz", "wx", "wy", "wz", *(f"dq{i + 1}" for i in range(modes))]
-    return position + velocity
+    return position + velocity + [f"u{i + 1}" for i in range(modes)]
 
 
 def shape_labels(modes: int) -> list[str]:

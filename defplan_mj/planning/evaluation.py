@@ -158,7 +158,7 @@ def run_episode(
     observation = env.reset().observation
     planner.reset()
     if recorder is not None:
-        start = {"timestep": physics.timestep(), "state": physics.reduced_state()}
+        start = {"timestep": physics.timestep(), **physics.stepping, "state": physics.reduced_state()}
         recorder.begin({**(context or {}), **start}, scene)
         task.step_hook = lambda now, shape: recorder.step(
             now.time(), now.reduced_state(), shape, now.clearance()
@@ -307,7 +307,7 @@ def _environment(
 
         prepared = None
         if feedback is not None:
-            dynamics = ReducedDynamics(body, gait.timestep, terrain)
+            dynamics = ReducedDynamics(body, gait.timestep, terrain, **gait.stepping)
             prepared = feedback.prepare(dynamics, gait, navigation.space)
         _environments[key] = navigation_environment(
             body, gait, navigation, sampler, terrain=terrain, feedback=prepared

@@ -51,8 +51,10 @@ class Material:
         """The body's reduced dynamics, at the gait's time step if there is a gait."""
         if self.body is None:
             return None
-        timestep = self.gait.timestep if self.gait else 0.04
-        return ReducedDynamics(self.body, timestep, self.spec.terrain if self.spec else None)
+        terrain = self.spec.terrain if self.spec else None
+        if self.gait is None:
+            return ReducedDynamics(self.body, terrain=terrain)
+        return ReducedDynamics(self.body, self.gait.timestep, terrain, **self.gait.stepping)
 
     @property
     def config(self) -> dict[str, Any]:

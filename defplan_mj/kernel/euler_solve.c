@@ -19,7 +19,7 @@ static void move(Work* w, const Config* from, const double* q_from, const double
 /* Newton with an energy line search from w->now; returns 1 if it converged. */
 static int minimise(Work* w, dp_info* info) {
   const int n = 6 + w->body->r, limit = (int)w->par[DP_MAX_NEWTON];
-  const double tolerance = w->par[DP_TOLERANCE], scale = w->body->mass / (w->par[DP_TIMESTEP] * w->par[DP_TIMESTEP]);
+  const double tolerance = w->par[DP_TOLERANCE], scale = w->body->mass / (w->h * w->h);
   double step[MAX_N], L[MAX_N * MAX_N];
   work_assemble(w);
   for (info->iterations = 1; info->iterations <= limit; info->iterations++) {
@@ -121,7 +121,7 @@ static int solve_lagged(Work* w, int rounds, dp_info* info) {
   for (int k = 0; k < rounds; k++) {
     info->attempts++;
     w->reference = w->touch_reference;
-    dp_info minimum = {0, 0, 0, 0};
+    dp_info minimum = {0, 0, 0, 1, 0};
     minimise(w, &minimum);
     info->iterations += minimum.iterations;
     w->reference = NULL;
@@ -261,83 +261,33 @@ static int solve_contact(Work* w, dp_info* info) {
   return solve_path(w, info);
 }
 
-static void pack(const Work* w, double* x_next) {
-  const int r = w->body->r;
-  const double ih = 1 / w->par[DP_TIMESTEP];
-  const Config *now = &w->now, *one = &w->one;
-  double back[4] = {one->quat[0], -one->quat[1], -one->quat[2], -one->quat[3]}, turn[4], omega[3];
-  quat_mul(back, now->quat, turn);
-  quat_log(turn, omega);
-  double *v = x_next + 7 + r;
-  for (int i = 0; i < 3; i++) {
-    v[i] = (now->c[i] - one->c[i]) * ih, v[3 + i] = omega[i] * ih;
-    x_next[i] = now->c[i];
-  }
-  memcpy(x_next + 3, now->quat, sizeof now->quat);
-  for (int c = 0; c < r; c++) v[6 + c] = (w->q_now[c] - one->q[c]) * ih, x_next[7 + c] = w->q_now[c];
-}
-
-/* Newton from the configuration of a state near the solution; returns 1 if it converged. */
-static int solve_near(Work* w, const double* near, dp_info* info) {
-  const int r = w->body->r;
-  const double sign = inner(near + 3, w->one.quat, 4) < 0 ? -1 : 1; /* the quaternion goes on as it was */
-  for (int i = 0; i < 4; i++) w->now.quat[i] = sign * near[3 + i];
-  memcpy(w->now.c, near, sizeof w->now.c);
-  quat_normalize(w->now.quat);
+/* Newton from a configuration near the solution; returns 1 if it converged. */
+static int solve_near(Work* w, const Pose* near, dp_info* info) {
+  memcpy(w->now.c, near->c, sizeof w->now.c), memcpy(w->now.quat, near->quat, sizeof w->now.quat);
   quat_matrix(w->now.quat, w->now.R);
-  memcpy(w->q_now, near + 7, sizeof(double) * r);
+  memcpy(w->q_now, near->q, sizeof w->q_now);
   return terrain_parts(&w->terrain) ? newton(w, 10, info) : minimise(w, info);
 }
 
-/* near: a state (nx) near the solution, which the search begins at, or NULL. */
-static int step(const Parts* p, const double* x, const double* u, const double* near, double* x_next,
-                dp_info* info) {
-  const Body* b = &p->body;
-  WORK(w, p, u);
-  work_unpack(&w, x);
-  work_prepare(&w, 0);
-  w.now.q = w.q_now;
-  dp_info local;
-  if (!info) info = &local;
-  info->iterations = info->failed = 0, info->attempts = 1;
-  if (near && solve_near(&w, near, info)) {
-    pack(&w, x_next);
-    return 0;
+int euler_solve(Work* w, const Pose* guess, Pose* next, dp_info* info) {
+  const int r = w->body->r;
+  work_prepare(w, 0);
+  w->now.q = w->q_now;
+  dp_info found = {0, 1, 0, 1, 0};
+  int done = guess && solve_near(w, guess, &found);
+  if (!done) {
+    /* start from the free motion; the shape, which stiffness and control hold back, half way */
+    double step0[MAX_N], back[4] = {w->two.quat[0], -w->two.quat[1], -w->two.quat[2], -w->two.quat[3]}, turn[4];
+    quat_mul(w->one.quat, back, turn);
+    quat_log(turn, step0 + 3);
+    for (int i = 0; i < 3; i++) step0[i] = w->one.c[i] - w->guess[i], step0[3 + i] = -step0[3 + i];
+    for (int c = 0; c < r; c++) step0[6 + c] = -.5 * (w->q_one[c] - w->q_two[c]);
+    move(w, &w->one, w->one.q, step0, 1);
+    done = terrain_parts(&w->terrain) ? solve_contact(w, &found) : minimise(w, &found);
   }
-  /* start from the free motion; the shape, which stiffness and control hold back, half way */
-  const double h = w.par[DP_TIMESTEP], *v = x + 7 + b->r;
-  double step0[MAX_N], turn[3];
-  mul_mv(w.one.R, v + 3, turn);
-  for (int i = 0; i < 3; i++) step0[i] = w.one.c[i] - w.guess[i], step0[3 + i] = -h * turn[i];
-  for (int c = 0; c < b->r; c++) step0[6 + c] = -.5 * h * v[6 + c];
-  move(&w, &w.one, w.one.q, step0, 1);
-  info->failed = !(terrain_parts(&w.terrain) ? solve_contact(&w, info) : minimise(&w, info));
-  pack(&w, x_next);
-  return info->failed;
-}
-
-int dp_step(const dp_model* m, const double* x, const double* u, double* x_next, dp_info* info) {
-  return dp_step_near(m, x, u, NULL, x_next, info);
-}
-
-int dp_step_near(const dp_model* m, const double* x, const double* u, const double* near, double* x_next,
-                 dp_info* info) {
-  Parts p;
-  if (parts_view(&p, m)) return 1;
-  return step(&p, x, u, near, x_next, info);
-}
-
-int dp_rollout(const dp_model* m, int N, const double* u, double* xs, long* iterations) {
-  Parts p;
-  if (parts_view(&p, m)) return N;
-  const int nx = 13 + 2 * p.body.r;
-  int failed = 0;
-  long count = 0;
-  for (int i = 0; i < N; i++) {
-    dp_info info;
-    failed += step(&p, xs + (size_t)i * nx, u + (size_t)i * p.nu, NULL, xs + (size_t)(i + 1) * nx, &info);
-    count += info.iterations;
-  }
-  if (iterations) *iterations = count;
-  return failed;
+  info->iterations += found.iterations, info->residual = found.residual;
+  if (found.attempts > info->attempts) info->attempts = found.attempts;
+  memcpy(next->c, w->now.c, sizeof next->c), memcpy(next->quat, w->now.quat, sizeof next->quat);
+  memcpy(next->q, w->q_now, sizeof(double) * r);
+  return done;
 }

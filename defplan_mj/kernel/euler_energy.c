@@ -10,19 +10,13 @@
  * velocities: a saved state replays to the bit. Derivatives by the implicit function theorem. */
 #include "work.h"
 
-/* The configuration of state x, and the one before it from the velocities. */
-void work_unpack(Work* w, const double* x) {
-  const int r = w->body->r;
-  const double h = w->par[DP_TIMESTEP], *v = x + 7 + r, *omega = v + 3, *qdot = v + 6;
+void work_begin(Work* w, const double* origin, const Pose* before, const Pose* last, const double* u, double h) {
   Config *one = &w->one, *two = &w->two;
-  memcpy(one->c, x, sizeof one->c), memcpy(one->quat, x + 3, sizeof one->quat);
-  quat_normalize(one->quat);
-  one->q = x + 7, two->q = w->q_two;
-  double turn[3], back[4];
-  for (int i = 0; i < 3; i++) two->c[i] = x[i] - h * v[i], turn[i] = -h * omega[i];
-  quat_exp(turn, back);
-  quat_mul(one->quat, back, two->quat);
-  for (int c = 0; c < r; c++) w->q_two[c] = x[7 + c] - h * qdot[c];
+  w->u = u, w->h = h, w->origin = origin, w->m = -1, w->reference = NULL;
+  memcpy(one->c, last->c, sizeof one->c), memcpy(one->quat, last->quat, sizeof one->quat);
+  memcpy(two->c, before->c, sizeof two->c), memcpy(two->quat, before->quat, sizeof two->quat);
+  memcpy(w->q_one, last->q, sizeof w->q_one), memcpy(w->q_two, before->q, sizeof w->q_two);
+  one->q = w->q_one, two->q = w->q_two;
   quat_matrix(one->quat, one->R), quat_matrix(two->quat, two->R);
 }
 
@@ -31,7 +25,7 @@ void work_unpack(Work* w, const double* x) {
 void work_prepare(Work* w, int derivatives) {
   const Body* b = w->body;
   const int kp = b->kp, np = b->np;
-  const double h = w->par[DP_TIMESTEP], ih2 = 1 / (h * h);
+  const double h = w->h, ih2 = 1 / (h * h);
   for (int i = 0; i < 9 * kp; i++) w->W[i] = 0;
   for (int t = 0; t < 2; t++) {
     Config* cfg = t ? &w->two : &w->one;
@@ -80,7 +74,7 @@ void work_prepare(Work* w, int derivatives) {
 /* Drag forces f on the patches at the iterate; D = -df/dp (xx xy xz yy yz zz); returns the energy. */
 static double drag(Work* w) {
   const int n = w->body->np;
-  const double h = w->par[DP_TIMESTEP], ih = 1 / h, *c = w->now.c;
+  const double h = w->h, ih = 1 / h, *c = w->now.c;
   const double *restrict p = w->w, *restrict p0 = w->before, *restrict a = w->area;
   const double *restrict cn = w->cn, *restrict ct = w->ct;
   double *restrict f = w->f, *restrict D = w->D, e = 0;
@@ -114,7 +108,7 @@ static void apply_drag_matrix(const double* restrict D, const double* restrict v
 void work_assemble(Work* w) {
   const Body* b = w->body;
   const int r = b->r, kp = b->kp, rp = b->rp, np = b->np, n = 6 + r;
-  const double h = w->par[DP_TIMESTEP], ih2 = 1 / (h * h), *R = w->now.R;
+  const double h = w->h, ih2 = 1 / (h * h), *R = w->now.R;
   double *g = w->g, *H = w->H, *zeta = w->now.zeta, *dz = w->now.dz, e = 0;
   kinematics(b, w->now.q, 1, zeta, w->scratch);
   memset(H, 0, sizeof(double) * n * n);

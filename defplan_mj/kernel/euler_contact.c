@@ -1,10 +1,8 @@
-/* Forces on points of the body: contact with the terrain, and given forces on its feet.
- *
- * A point at gap s of a part of the terrain takes the normal force k (d - s)^2 for s < d, along the
- * gradient n of s, and Coulomb friction mu |f_n| v / sqrt(|v|^2 + e^2) against its tangential velocity
- * v = (I - n n^T)(p - p_1)/h. All of it is taken at the end of the step, so the equations are no longer
- * those of a minimum. With `reference` the normal of friction and its force are those there: then
- * friction has the potential h mu |f_n| sqrt(|v|^2 + e^2), and the step is a minimisation again. */
+/* Forces on points of the body in implicit Euler's step: contact with the terrain, by the law of
+ * contact_law.c with v = (p - p_1)/h, and given forces on its feet. All of it is taken at the end of the
+ * step, so the equations are no longer those of a minimum. With `reference` the normal of friction and its
+ * force are those there, and there is no damping: then friction has the potential
+ * h mu |f_n| sqrt(|v|^2 + e^2), and the step is a minimisation again. */
 #include "work.h"
 
 void contact_positions(const Work* w, const Config* cfg, double* out) {
@@ -13,54 +11,46 @@ void contact_positions(const Work* w, const Config* cfg, double* out) {
   field_apply(b, b->contacts, 1, cfg->zeta, b->nc, local);
   rotate(cfg->R, local, b->nc, out);
   for (int i = 0; i < 3; i++)
-    for (int s = 0; s < b->nc; s++) out[i * b->nc + s] += cfg->c[i];
+    for (int s = 0; s < b->nc; s++) out[i * b->nc + s] += w->origin[i] + cfg->c[i];
 }
 
 void contact_prepare(Work* w) { contact_positions(w, &w->one, w->touch_before); }
 
-/* Force f (3) on a point at p, its derivatives D = -df/dp, F = -df/dv; returns the energy. */
+/* Force f (3) on a point at p, its derivatives D = -df/dp in all, F = -df/dv; returns the energy. Without
+ * `reference` the law is that of contact_law.c, which has no energy: the spring's is returned. */
 static double contact_force(const Work* w, int part, const double* p, const double* before,
                             const double* reference, double* f, double* D, double* F) {
   const Terrain* t = &w->terrain;
-  const double h = w->par[DP_TIMESTEP], mu = w->friction, k = t->stiffness;
-  double a[3], A[9], energy = 0, fn = 0, size = 1, slope[3] = {0}; /* gap's gradient, Hessian; fn, dfn/dp */
+  const double h = w->h, mu = w->friction, k = t->stiffness;
+  double a[3], A[9], v[3], energy = 0;
+  for (int i = 0; i < 3; i++) v[i] = (p[i] - before[i]) / h;
   const double depth = t->thickness - terrain_gap(t, part, p, a, A);
+  if (depth > 0) energy = k * depth * depth * depth / 3;
+  if (!reference && mu != 0) {
+    double now[9] = {0};
+    contact_law(t, mu, part, p, v, f, D, now);
+    for (int i = 0; i < 9; i++) F[i] += now[i], D[i] += now[i] / h;
+    return energy;
+  }
   if (depth > 0) {
-    energy = k * depth * depth * depth / 3;
     for (int i = 0; i < 3; i++) f[i] += k * depth * depth * a[i];
     for (int i = 0; i < 9; i++) D[i] += 2 * k * depth * a[i / 3] * a[i % 3] - k * depth * depth * A[i];
-    size = sqrt(dot3(a, a)), fn = k * depth * depth * size;
-    double An[3];
-    mul_mv(A, a, An);
-    for (int i = 0; i < 3; i++) slope[i] = -2 * k * depth * size * a[i] + k * depth * depth * An[i] / size;
   }
-  if (reference) {
-    const double lagged = t->thickness - terrain_gap(t, part, reference, a, NULL);
-    size = sqrt(dot3(a, a)), fn = lagged > 0 ? k * lagged * lagged * size : 0;
-  }
-  if (!(fn > 0) || mu == 0) return energy;
-  double v[3], u[3], n[3], s[3], P[9], turn[9];
-  for (int i = 0; i < 3; i++) v[i] = (p[i] - before[i]) / h, n[i] = a[i] / size;
+  if (!reference || mu == 0) return energy;
+  const double lagged = t->thickness - terrain_gap(t, part, reference, a, NULL), size = sqrt(dot3(a, a));
+  const double fn = lagged > 0 ? k * lagged * lagged * size : 0;
+  if (!(fn > 0)) return energy;
+  double u[3], n[3], s[3];
+  for (int i = 0; i < 3; i++) n[i] = a[i] / size;
   const double vn = dot3(v, n);
   for (int i = 0; i < 3; i++) u[i] = v[i] - vn * n[i];
   const double speed = sqrt(dot3(u, u) + t->slip * t->slip), c = mu * fn / speed;
   for (int i = 0; i < 3; i++) s[i] = u[i] / speed, f[i] -= mu * fn * s[i];
   for (int i = 0; i < 9; i++) {
-    P[i] = (i % 4 == 0) - n[i / 3] * n[i % 3] - s[i / 3] * s[i % 3]; /* (I - s s^T)(I - n n^T), s _|_ n */
-    F[i] += c * P[i], D[i] += c * P[i] / h;
+    const double P = (i % 4 == 0) - n[i / 3] * n[i % 3] - s[i / 3] * s[i % 3];
+    F[i] += c * P, D[i] += c * P / h;
   }
-  if (reference) return energy + h * mu * fn * (speed - t->slip);
-  /* dn/dp = (I - n n^T) A / size; du = P dv - (n v^T + v.n) dn */
-  double nA[3], N[9], vN[3], M[9];
-  mul_mtv(A, n, nA);
-  for (int i = 0; i < 9; i++) N[i] = (A[i] - n[i / 3] * nA[i % 3]) / size;
-  mul_mtv(N, v, vN);
-  for (int i = 0; i < 9; i++) M[i] = n[i / 3] * vN[i % 3] + vn * N[i];
-  double sM[3];
-  mul_mtv(M, s, sM);
-  for (int i = 0; i < 9; i++) turn[i] = M[i] - s[i / 3] * sM[i % 3];
-  for (int i = 0; i < 9; i++) D[i] += mu * s[i / 3] * slope[i % 3] - c * turn[i];
-  return energy;
+  return energy + h * mu * fn * (speed - t->slip);
 }
 
 /* Forces on n points at p (from the centre of mass), padded to np, of a field: what work_assemble
@@ -97,17 +87,18 @@ static double find_touching(Work* w) {
   int which[DP_MAX_CONTACTS], m = 0;
   double f[3 * DP_MAX_CONTACTS], energy = 0;
   contact_positions(w, &w->now, w->touch_now);
-  double radius = 0;
+  double radius = 0, centre[3];
+  for (int i = 0; i < 3; i++) centre[i] = w->origin[i] + w->now.c[i];
   for (int s = 0; s < b->n_contacts; s++) {
     double d2 = 0;
-    for (int i = 0; i < 3; i++) d2 += (w->touch_now[i * nc + s] - w->now.c[i]) * (w->touch_now[i * nc + s] - w->now.c[i]);
+    for (int i = 0; i < 3; i++) d2 += (w->touch_now[i * nc + s] - centre[i]) * (w->touch_now[i * nc + s] - centre[i]);
     radius = fmax(radius, d2);
   }
   radius = sqrt(radius) + w->terrain.thickness;
   int touching[DP_MAX_CONTACTS] = {0};
   for (int part = 0; part < parts; part++) {
-    if (part < w->terrain.n_geoms ? terrain_gap(&w->terrain, part, w->now.c, NULL, NULL) > radius
-                                  : w->now.c[2] - w->terrain.top - w->terrain.centre[2] > radius)
+    if (part < w->terrain.n_geoms ? terrain_gap(&w->terrain, part, centre, NULL, NULL) > radius
+                                  : centre[2] - w->terrain.top - w->terrain.centre[2] > radius)
       if (!w->reference) continue;
     for (int s = 0; s < b->n_contacts; s++) {
       double p[3], before[3], reference[3];
@@ -136,7 +127,7 @@ static double find_touching(Work* w) {
   }
   for (int i = 0; i < 3; i++)
     for (int s = 0; s < mp; s++) {
-      w->touch_points[i * mp + s] = s < m ? w->touch_now[i * nc + which[s]] - w->now.c[i] : 0;
+      w->touch_points[i * mp + s] = s < m ? w->touch_now[i * nc + which[s]] - centre[i] : 0;
       w->touch_force[i * mp + s] = s < m ? f[3 * s + i] : 0;
     }
   return energy;
@@ -152,7 +143,7 @@ double forces_evaluate(Work* w, double* N) {
     for (int i = 0; i < 3; i++)
       for (int s = 0; s < np; s++) {
         const double f = s < w->feet.n ? w->u[w->body->r + 3 * s + i] : 0;
-        w->feet_force[i * np + s] = f, energy -= f * (w->now.c[i] + w->feet_points[i * np + s]);
+        w->feet_force[i * np + s] = f, energy -= f * (w->now.c[i] + w->feet_points[i * np + s]); /* places from the origin: a constant */
       }
     add_forces(w, w->feet.field, np, w->feet_points, w->feet_force, w->feet_Jq, N);
   }
@@ -214,7 +205,7 @@ void forces_mixed(Work* w, const double* lambda, const double* dz, double* out, 
   }
   if (!terrain_parts(&w->terrain) || !w->m) return;
   const int mp = w->mp, nc = b->nc;
-  const double ih = 1 / w->par[DP_TIMESTEP];
+  const double ih = 1 / w->h;
   double pull[3 * DP_MAX_CONTACTS], arm[3 * DP_MAX_CONTACTS], local[3 * DP_MAX_CONTACTS], turn[3];
   motion(w, w->touch_field, mp, w->touch_points, lambda, dz, along);
   for (int i = 0; i < 3; i++)
@@ -222,7 +213,7 @@ void forces_mixed(Work* w, const double* lambda, const double* dz, double* out, 
       double f = 0;
       for (int j = 0; s < w->m && j < 3; j++) f += w->touch_F[9 * s + 3 * j + i] * along[j * mp + s];
       pull[i * mp + s] = -ih * f;
-      arm[i * mp + s] = s < w->m ? w->touch_before[i * nc + w->which[s]] - w->one.c[i] : 0;
+      arm[i * mp + s] = s < w->m ? w->touch_before[i * nc + w->which[s]] - w->origin[i] - w->one.c[i] : 0;
     }
   for (int i = 0; i < 3; i++) out[i] += sum(pull + i * mp, mp);
   sum_cross(arm, pull, mp, turn);
