@@ -14,14 +14,14 @@ SWIM = TaskSpec(
     description="a fish swims to targets among upright cylinders (the paper's first example)",
     mesh=environments.ASSETS / "fish.obj",
     body=BodyOptions(vertices=2118, modes=5, basis=31, samples=8, amplitude=2.0, length=1.0),
-    timestep=0.04,
-    steps_per_cycle=11,
+    timestep=0.01375,
+    steps_per_cycle=32,
     gait_tasks=(
         GaitTask("forward", move=(0.7, 0.0, 0.0)),
         GaitTask("left", turn=(0.0, 0.0, 0.8), move=(0.45, 0.0, 0.0)),
         GaitTask("right", turn=(0.0, 0.0, -0.8), move=(0.45, 0.0, 0.0)),
     ),
-    gait_steps=200,
+    gait_steps=576,
     weights=Weights(effort=0.15, style="sideways"),
     navigation=Navigation(),
     # Tables I to III; hours are the paper's own, tasks in its order: left, right, forward.

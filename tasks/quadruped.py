@@ -30,8 +30,8 @@ SWIM = TaskSpec(
         length=1.0,
         medium=Medium(righting_height=0.0),
     ),
-    timestep=0.05,
-    steps_per_cycle=9,
+    timestep=0.025,
+    steps_per_cycle=18,
     # The body's own axis is +z: bell first, legs behind. A turn tilts it to one of the four sides.
     gait_tasks=(
         GaitTask("front", turn=(0.0, TURN, 0.0), move=(0.0, 0.0, 0.0)),
@@ -40,7 +40,7 @@ SWIM = TaskSpec(
         GaitTask("right", turn=(TURN, 0.0, 0.0), move=(0.0, 0.0, 0.0)),
         GaitTask("forward", move=(0.0, 0.0, ADVANCE)),
     ),
-    gait_steps=100,
+    gait_steps=200,
     weights=Weights(turn=6.0, move=6.0, drift=6.0, roll=1.0, effort=0.15, style="pulse"),
     axis=(0.0, 0.0, 1.0),
     navigation=Navigation(k2=30, beams=128, space="spatial"),
