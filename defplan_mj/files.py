@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 import os
 import tempfile
+import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,9 @@ import numpy as np
 from defplan_mj.errors import DefplanError
 
 _HEADER = "header.json"
+MOST_BYTES = (
+    4 << 30
+)  # of an archive's arrays: a million vertices with all the basis the kernel takes
 
 
 @contextlib.contextmanager
@@ -99,10 +104,42 @@ def save_archive(
     return digest
 
 
+@contextlib.contextmanager
+def fields_of(path: str | Path, kind: str) -> Iterator[None]:
+    """Say in one sentence that the content of an archive lacks fields, or has others, than its kind."""
+    try:
+        yield
+    except (TypeError, KeyError, AttributeError, ValueError) as error:
+        raise DefplanError(
+            f"{path} has not the fields of a {kind} ({str(error).splitlines()[0]}): make it anew"
+        ) from error
+
+
+def _check_sizes(source: Path) -> None:
+    """Raise ValueError if an array says it is larger than its bytes, or all are too large to load."""
+    with zipfile.ZipFile(source) as archive:
+        if sum(item.file_size for item in archive.infolist()) > MOST_BYTES:
+            raise ValueError("too large")
+        for item in archive.infolist():
+            with archive.open(item) as stream:
+                version = np.lib.format.read_magic(stream)
+                reader = (
+                    np.lib.format.read_array_header_1_0
+                    if version == (1, 0)
+                    else np.lib.format.read_array_header_2_0
+                )
+                shape, _, kind = reader(stream)
+            if kind.hasobject or math.prod(shape) * kind.itemsize > item.file_size:
+                raise ValueError("an array is larger than its bytes")
+
+
 def load_archive(
-    path: str | Path, kind: str, version: int
+    path: str | Path, kind: str, version: int, remake: str = "make it anew"
 ) -> tuple[dict[str, np.ndarray], dict[str, Any], str]:
     """Read an archive of `save_archive`: arrays, meta, hash. Nothing is unpickled.
+
+    Args:
+        remake: how a file of another version is made anew, for the error.
 
     Raises:
         DefplanError: the file is missing, cut short, of another kind or version, or altered.
@@ -111,6 +148,7 @@ def load_archive(
     if not source.is_file():
         raise DefplanError(f"{kind} file {source} does not exist")
     try:
+        _check_sizes(source)  # before memory is taken for what a damaged header asks for
         with np.load(source, allow_pickle=False) as archive:
             contents = {name: archive[name] for name in archive.files}
         header = json.loads(contents.pop(_HEADER).tobytes())
@@ -122,7 +160,7 @@ def load_archive(
         raise DefplanError(f"{source} is a {header.get('kind')} file, not a {kind} file")
     if header.get("version") != version:
         raise DefplanError(
-            f"{source} has {kind} format {header.get('version')}, this version reads {version}: make it anew"
+            f"{source} has {kind} format {header.get('version')}, this version reads {version}: {remake}"
         )
     meta = header["meta"]
     if content_hash(contents, meta) != header["hash"]:

@@ -127,8 +127,8 @@ def heavier(body: Body, factor: float) -> Body:
         basis=body.basis / root,  # orthonormal in the new mass
         feature_weights=body.feature_weights * root,
         moments=factor * np.einsum("abij,a,b->abij", body.moments, columns, columns),
-        patch_points=body.patch_points * columns,
-        patch_tangents=body.patch_tangents * columns,
+        drag_points=body.drag_points * columns,
+        drag_tangents=body.drag_tangents * columns,
         frequencies=body.frequencies / root,
     )
 

@@ -32,7 +32,9 @@ class BodyOptions:
         modes: r, modal coordinates.
         basis: k, size of the displacement basis.
         samples: number of sampled tetrahedra of the second reduction.
-        patches: number of drag patches on the surface.
+        drag_error: bound of the relative error of the drag's generalised force on held-out motions;
+            as many drag points are taken as it asks for.
+        drag_points: at most.
         length: longest extent, m (None: as the mesh file says).
         amplitude: largest |q_i| the reduction is sampled at and gaits may ask for.
         material, medium: see their classes.
@@ -42,7 +44,8 @@ class BodyOptions:
     modes: int = 5
     basis: int = 24
     samples: int = 16
-    patches: int = 64
+    drag_error: float = 0.03
+    drag_points: int = 256
     length: float | None = 1.0
     amplitude: float = 1.5
     material: Material = Material()

@@ -51,6 +51,7 @@ def walk_spec(
             modes=10,
             basis=31,
             samples=16,
+            drag_error=0.3,  # of the air's
             amplitude=1.0,
             length=1.0,
             material=Material(youngs_modulus=1e6),

@@ -76,8 +76,8 @@ def unreduced_body(
         feature_map=np.zeros((0, 9, modes)),
         feature_weights=np.zeros((0, 0)),
         moments=np.zeros((1, 1, 3, 3)),
-        patch_points=np.zeros((0, 3, 1)),
-        patch_tangents=np.zeros((2, 0, 3, 1)),
-        patch_areas=np.zeros(0),
+        drag_points=np.zeros((0, 3, 1)),
+        drag_tangents=np.zeros((2, 0, 3, 1)),
+        drag_areas=np.zeros(0),
         surface=np.unique(faces),
     )

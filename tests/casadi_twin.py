@@ -137,15 +137,15 @@ class CasadiTwin:
         energy += material.control_stiffness * ca.dot(stiffness, (q - u) ** 2) / 2
         energy += material.damping / (2 * h) * ca.dot(stiffness, dq**2)
 
-        if not len(body.patch_areas):
+        if not len(body.drag_areas):
             return energy
-        before_step = last[0] + ca.mtimes(last[1], self._points(body.patch_points, shapes[1]))
-        after_step = new[0] + ca.mtimes(new[1], self._points(body.patch_points, shapes[0]))
+        before_step = last[0] + ca.mtimes(last[1], self._points(body.drag_points, shapes[1]))
+        after_step = new[0] + ca.mtimes(new[1], self._points(body.drag_points, shapes[0]))
         velocity = (after_step - before_step) / h
         t1, t2 = (
-            ca.mtimes(last[1], self._points(tangent, shapes[1])) for tangent in body.patch_tangents
+            ca.mtimes(last[1], self._points(tangent, shapes[1])) for tangent in body.drag_tangents
         )
-        area = ca.repmat(ca.DM(body.patch_areas).T, 3, 1) * ca.cross(t1, t2, 1)
+        area = ca.repmat(ca.DM(body.drag_areas).T, 3, 1) * ca.cross(t1, t2, 1)
         area2, normal = ca.sum1(area**2), ca.sum1(velocity * area)
         speed2 = ca.sum1(velocity**2) + 1e-4
         pressure = medium.drag_normal * ca.fabs(normal) * normal**2 / area2

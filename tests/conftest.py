@@ -79,7 +79,7 @@ def rendering(pytestconfig: pytest.Config) -> None:
 @pytest.fixture(scope="session")
 def small_fish() -> Body:
     """Return the fish on a coarse mesh: fast to build and to compare with the full FEM."""
-    options = BodyOptions(vertices=300, modes=5, basis=20, samples=16, patches=40)
+    options = BodyOptions(vertices=300, modes=5, basis=20, samples=16, drag_points=40)
     return build_body(FISH_MESH, options, name="small fish")
 
 
@@ -87,7 +87,7 @@ def small_fish() -> Body:
 def small_walker() -> Body:
     """Return the 4-legged body in air on a coarse mesh: on a coarser one its legs would be lost."""
     options = BodyOptions(
-        vertices=450, modes=6, basis=20, samples=10, patches=4, amplitude=1.0, medium=AIR
+        vertices=450, modes=6, basis=20, samples=10, drag_points=4, amplitude=1.0, medium=AIR
     )
     return build_body(QUADRUPED_MESH, options, name="small walker")
 

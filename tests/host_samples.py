@@ -46,7 +46,7 @@ def tee() -> Body:
 
 
 def _coarse(spec: TaskSpec, vertices: int) -> Body:
-    return build_body(spec.mesh, dataclasses.replace(spec.body, vertices=vertices, patches=40))
+    return build_body(spec.mesh, dataclasses.replace(spec.body, vertices=vertices, drag_points=40))
 
 
 @functools.cache

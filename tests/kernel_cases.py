@@ -64,9 +64,9 @@ def synthetic_body(
         feature_map=rng.normal(size=(samples, 9, modes)) * 0.5,
         feature_weights=rng.normal(size=(basis, 9 * samples)) * 0.1 / np.sqrt(samples),
         moments=np.einsum("v,via,vjb->abij", mass, shapes, shapes, optimize=True),
-        patch_points=rng.normal(size=(patches, 3, basis + 1)) * 0.2,
-        patch_tangents=tangents,
-        patch_areas=rng.uniform(0.005, 0.02, patches),
+        drag_points=rng.normal(size=(patches, 3, basis + 1)) * 0.2,
+        drag_tangents=tangents,
+        drag_areas=rng.uniform(0.005, 0.02, patches),
         surface=np.arange(0, n, 2),
     )
 

@@ -35,7 +35,9 @@ def sample_body() -> Body:
     modes = np.zeros((8, 3, MODES))
     modes[:, 1, 0] = corners[:, 0] ** 2
     modes[:, 2, 1] = corners[:, 0] ** 2
-    basis = modes.copy()
+    mass = np.full(8, 5.0)
+    basis = np.linalg.qr(modes.reshape(24, MODES))[0].reshape(8, 3, MODES) / np.sqrt(5.0)
+    shapes = np.concatenate([corners[:, :, None], basis], axis=2)
     points = np.zeros((4, 3, MODES + 1))
     return Body(
         name="bar",
@@ -44,7 +46,7 @@ def sample_body() -> Body:
         vertices=corners,
         tetrahedra=tetrahedra,
         faces=faces,
-        vertex_mass=np.full(8, 5.0),
+        vertex_mass=mass,
         modes=modes,
         frequencies=np.array([1.5, 2.5]),
         stiffness=np.array([2.0, 3.0]),
@@ -53,10 +55,10 @@ def sample_body() -> Body:
         sampled=np.array([0, 3]),
         feature_map=rng.normal(size=(2, 9, MODES)),
         feature_weights=rng.normal(size=(MODES, 18)),
-        moments=np.zeros((MODES + 1, MODES + 1, 3, 3)),
-        patch_points=points,
-        patch_tangents=np.stack([points, points]),
-        patch_areas=np.ones(4),
+        moments=np.einsum("v,via,vjb->abij", mass, shapes, shapes),
+        drag_points=points,
+        drag_tangents=np.stack([points, points]),
+        drag_areas=np.ones(4),
         surface=np.arange(8),
         source={"mesh": "bar.stl", "vertices": 8, "quality_min": 0.31, "quality_mean": 0.88},
     )
@@ -251,7 +253,7 @@ def swimming_body(
     mesh.apply_scale(radii)
     mesh.export(folder / "pebble.stl")
     options = BodyOptions(
-        vertices=200, modes=3, basis=10, samples=10, patches=24, medium=medium or Medium()
+        vertices=200, modes=3, basis=10, samples=10, drag_points=24, medium=medium or Medium()
     )
     return build_body(folder / "pebble.stl", options)
 

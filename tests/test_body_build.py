@@ -12,7 +12,6 @@ from body_meshes import bar, pill
 
 from defplan_mj.body.build import build_body, mode_scales
 from defplan_mj.body.check import placed_vertices, reconstruction_error, reduced_vertices
-from defplan_mj.body.drag import surface_clusters
 from defplan_mj.body.model import Body, Material
 from defplan_mj.body.rotation_strain import RotationStrain, feature_map
 from defplan_mj.body.tetmesh import TetMesh, boundary
@@ -20,7 +19,13 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.task import BodyOptions
 
 OPTIONS = BodyOptions(
-    vertices=240, modes=4, basis=16, samples=10, patches=24, length=2.0, material=Material(800.0)
+    vertices=240,
+    modes=4,
+    basis=16,
+    samples=10,
+    drag_error=0.1,
+    length=2.0,
+    material=Material(800.0),
 )
 
 
@@ -93,39 +98,6 @@ def test_reduction_follows_the_exact_map_over_the_amplitudes(body):
     np.testing.assert_array_equal(reduced_vertices(body, np.zeros(4))[0], body.vertices)
 
 
-def test_patches_close_the_surface_and_ride_on_the_body(body):
-    unit = np.cross(body.patch_tangents[0], body.patch_tangents[1], axis=1)[:, :, 0]
-    np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1.0)
-    vectors = body.patch_areas[:, None] * unit
-    surface = trimesh.Trimesh(body.vertices, body.faces, process=False)
-    np.testing.assert_allclose(vectors.sum(0), 0.0, atol=1e-12)
-    assert 0.9 * surface.area < body.patch_areas.sum() <= surface.area
-    outward = np.einsum("pi,pi->p", unit, body.patch_points[:, :, 0])
-    assert (outward > 0.0).all()  # the pill is convex
-    # a patch's point and tangents are linear in (1, z): turned with the body when z turns it
-    stretch = body.vertices * [0.1, 0.0, 0.0]
-    z = np.einsum("n,nik,ni->k", body.vertex_mass, body.basis, stretch)
-    moved = body.patch_points[:, :, 1:] @ z
-    field = np.einsum("nik,k->ni", body.basis, z)
-    nearest = np.linalg.norm(body.patch_points[:, None, :, 0] - body.vertices[None], axis=2).argmin(
-        1
-    )
-    assert np.linalg.norm(moved - field[nearest], axis=1).max() < 0.5 * np.abs(field).max()
-
-
-def test_clusters_of_a_symmetric_surface_come_in_mirrored_pairs():
-    surface = pill(3)
-    centre, vector = surface.triangles_center, surface.area_faces[:, None] * surface.face_normals
-    labels = surface_clusters(
-        centre, vector, np.zeros((len(centre), 3, 0)), 20, np.random.default_rng(0)
-    )
-    assert labels.max() == 19
-    means = np.stack([centre[labels == i].mean(0) for i in range(20)])
-    gap = np.linalg.norm(means[:, None] - (means * [1, -1, 1])[None], axis=2).min(1)
-    assert gap.max() < 0.01  # triangles astride the plane belong to one side
-    assert np.abs(means[:, 1]).min() > 0.01  # none sits astride
-
-
 def test_rebuilding_gives_the_same_bits(body, mesh_file):
     again = build_body(mesh_file, OPTIONS)
     assert again.hash == body.hash
@@ -167,6 +139,8 @@ def test_placed_vertices_follow_position_and_attitude(body):
         ({"modes": 17}, "modes is 17"),
         ({"basis": 65}, "between 1 and 64"),
         ({"length": -1.0}, "length"),
+        ({"drag_error": 0.0}, "drag_error"),
+        ({"drag_points": 513}, "drag_points is 513"),
         ({"material": Material(poissons_ratio=0.5)}, "Poisson"),
         ({"material": Material(youngs_modulus=0.0)}, "Young"),
     ],

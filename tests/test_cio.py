@@ -216,7 +216,7 @@ def test_forces_at_the_start_carry_the_weight(pattern):
 def walking() -> GaitProblem:
     air = Medium(name="air", density=1.2, gravity=-GRAVITY, righting_height=0.0)
     options = BodyOptions(
-        vertices=450, modes=6, basis=12, samples=8, patches=8, amplitude=1.0, medium=air
+        vertices=450, modes=6, basis=12, samples=8, drag_points=8, amplitude=1.0, medium=air
     )
     body = build_body(ASSETS / "quadruped.obj", options)
     dynamics = ReducedDynamics(body, 0.03, Terrain(slip_speed=0.03))
@@ -323,7 +323,7 @@ def test_a_walk_is_what_it_was_believed_to_be():
     """The whole solver: four directions, as simulated with the real contact."""
     air = Medium(name="air", density=1.2, gravity=-GRAVITY, righting_height=0.0)
     options = BodyOptions(
-        vertices=600, modes=10, basis=20, samples=12, patches=8, amplitude=1.0, medium=air
+        vertices=600, modes=10, basis=20, samples=12, drag_points=8, amplitude=1.0, medium=air
     )
     body = build_body(ASSETS / "quadruped.obj", options)
     dynamics = ReducedDynamics(body, 0.03, Terrain(slip_speed=0.03))

@@ -435,7 +435,7 @@ def test_forces_on_the_feet_that_carry_the_weight_hold_the_body_as_contact_does(
 def supple_walker() -> Body:
     """Return `small_walker` with 12 modes: braking bends its legs beyond the first 6."""
     options = BodyOptions(
-        vertices=450, modes=12, basis=40, samples=16, patches=4, amplitude=1.0, medium=AIR
+        vertices=450, modes=12, basis=40, samples=16, drag_points=4, amplitude=1.0, medium=AIR
     )
     return build_body(ASSETS / "quadruped.obj", options, name="supple walker")
 

@@ -126,7 +126,7 @@ class Setting:
         return results, (self.wave.calls - before[0], self.stubborn.calls - before[1])
 
 
-SMALL = BodyOptions(vertices=300, modes=4, basis=12, samples=10, patches=24)
+SMALL = BodyOptions(vertices=300, modes=4, basis=12, samples=10, drag_points=24)
 
 
 @pytest.fixture(scope="module")

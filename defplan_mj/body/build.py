@@ -1,17 +1,17 @@
-"""Builds a Body from a mesh file: mesh, modes, rotation-strain coordinates, reduction, patches."""
+"""Builds a Body from a mesh file: mesh, modes, rotation-strain coordinates, reduction, drag points."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from defplan_mj.body.drag import drag_patches
+from defplan_mj.body.cubature import drag_points
 from defplan_mj.body.elasticity import linear_modes
 from defplan_mj.body.meshing import fill
-from defplan_mj.body.model import Body
+from defplan_mj.body.model import LIMITS, Body
 from defplan_mj.body.reduction import reduce_shapes
 from defplan_mj.body.rotation_strain import RotationStrain, feature_map
 from defplan_mj.body.surface import Surface, load_mesh
@@ -43,7 +43,7 @@ def check_options(options: BodyOptions) -> None:
         "modes": (1, 16),
         "basis": (1, 64),
         "samples": (1, 40),
-        "patches": (4, 512),
+        "drag_points": (4, LIMITS["drag points"]),
     }
     for name, (least, most) in ranges.items():
         value = getattr(options, name)
@@ -51,6 +51,7 @@ def check_options(options: BodyOptions) -> None:
             raise DefplanError(f"{name} is {value}: it must lie between {least} and {most}")
     material = options.material
     for name, value in (
+        ("drag_error", options.drag_error),
         ("length", 1.0 if options.length is None else options.length),
         ("amplitude", options.amplitude),
         ("density", material.density),
@@ -116,8 +117,6 @@ def _build(path: Path, options: BodyOptions, progress: Progress, name: str) -> B
     exact = RotationStrain(mesh, mass, modes)
     reduction = reduce_shapes(exact, mass, amplitude, options.basis, options.samples)
     shapes = np.concatenate([mesh.vertices[:, :, None], reduction.basis], axis=2)
-    progress("placing the drag patches", 0.95)
-    patches = drag_patches(mesh, shapes, modes, options.patches)
     faces, _ = boundary(mesh.tetrahedra)
     body = Body(
         name=name,
@@ -136,11 +135,16 @@ def _build(path: Path, options: BodyOptions, progress: Progress, name: str) -> B
         feature_map=exact.features[reduction.sampled],
         feature_weights=reduction.feature_weights,
         moments=np.einsum("v,via,vjb->abij", mass, shapes, shapes, optimize=True),
-        patch_points=patches.points,
-        patch_tangents=patches.tangents,
-        patch_areas=patches.areas,
+        drag_points=np.zeros((0, 3, options.basis + 1)),
+        drag_tangents=np.zeros((2, 0, 3, options.basis + 1)),
+        drag_areas=np.zeros(0),
         surface=np.unique(faces),
         source=source,
     )
+    progress("choosing the drag points", 0.6)
+    drag, error = drag_points(body, options.drag_error, options.drag_points)
+    source["drag"] = asdict(error)
     progress("body built", 1.0)
-    return body
+    return replace(
+        body, drag_points=drag.points, drag_tangents=drag.tangents, drag_areas=drag.areas
+    )

@@ -1,4 +1,4 @@
-"""The soft body as plain data: mesh, modes, rotation-strain reduction, drag patches; saved as one file."""
+"""The soft body as plain data: mesh, modes, rotation-strain reduction, drag points; saved as one file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ import numpy as np
 
 from defplan_mj import files
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+REMAKE = "build it again from its mesh with `defplan body MESH`"
+LIMITS = {"modes": 16, "basis": 64, "samples": 40, "drag points": 512}
+"""What the kernel has room for (kernel.h)."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,7 @@ class Medium:
     Attributes:
         name: 'water' or 'air'.
         density: of the fluid, kg/m^3.
-        drag_normal: drag coefficient of motion along a patch's normal.
+        drag_normal: drag coefficient of motion along the surface's normal.
         drag_tangential: friction coefficient of the skin.
         gravity: acceleration of the body along z after buoyancy, m/s^2 (0 for a neutrally buoyant body).
         righting_height: metacentric height, m; a moment rights the body's z axis (0: none).
@@ -76,9 +79,10 @@ class Body:
         feature_map: (s, 9, r) maps q to skew vector (3) and strain (e11, e12, e13, e22, e23, e33).
         feature_weights: (k, 9 s) the matrix C; columns run over s, then row-major F - I.
         moments: (k+1, k+1, 3, 3) S_ab = sum_v m_v Phi_a Phi_b^T with Phi = (vertices | basis).
-        patch_points: (p, 3, k+1) drag patch centres: rest position | basis.
-        patch_tangents: (2, p, 3, k+1) images of two unit rest tangents: t = patch_tangents (1, z).
-        patch_areas: (p,) m^2; the area vector of a patch is area (t1 x t2), outward.
+        drag_points: (p, 3, k+1) points of the surface that take drag: rest position | basis.
+        drag_tangents: (2, p, 3, k+1) images of two unit rest tangents: t = drag_tangents (1, z).
+        drag_areas: (p,) m^2, how much of the surface a point stands for: its area vector is area (t1 x t2),
+            outward.
         surface: (n_s,) indices of the vertices on the surface, sorted.
     """
 
@@ -98,9 +102,9 @@ class Body:
     feature_map: np.ndarray
     feature_weights: np.ndarray
     moments: np.ndarray
-    patch_points: np.ndarray
-    patch_tangents: np.ndarray
-    patch_areas: np.ndarray
+    drag_points: np.ndarray
+    drag_tangents: np.ndarray
+    drag_areas: np.ndarray
     surface: np.ndarray
     source: dict = field(default_factory=dict)  # mesh file, options, quality: what the report shows
 
@@ -149,13 +153,19 @@ class Body:
         """Read a body of `save`.
 
         Raises:
-            DefplanError: the file is missing, damaged or of another version.
+            DefplanError: the file is missing, damaged or of another version, or its content is no body.
         """
-        arrays, meta, _ = files.load_archive(path, "body", FORMAT_VERSION)
-        return cls(
-            name=meta["name"],
-            material=Material(**meta["material"]),
-            medium=Medium(**meta["medium"]),
-            source=meta["source"],
-            **arrays,
-        )
+        # imported here: it looks into bodies
+        from defplan_mj.body.validate import validate_body
+
+        arrays, meta, _ = files.load_archive(path, "body", FORMAT_VERSION, REMAKE)
+        with files.fields_of(path, "body"):
+            body = cls(
+                name=meta["name"],
+                material=Material(**meta["material"]),
+                medium=Medium(**meta["medium"]),
+                source=meta["source"],
+                **arrays,
+            )
+        validate_body(body, str(path))
+        return body

@@ -92,7 +92,7 @@ def _describe(built: Body, output: Path, seconds: float) -> dict[str, Any]:
         "frequencies_hz": built.frequencies,
         "basis": built.n_basis,
         "sampled": len(built.sampled),
-        "patches": len(built.patch_areas),
+        "drag": built.source.get("drag", {"points": len(built.drag_areas)}),
         "medium": built.medium.name,
         "seconds": seconds,
     }
@@ -110,8 +110,14 @@ def _text(data: dict[str, Any]) -> str:
         f" {quality.get('mean', float('nan')):.2f} on average",
         f"  modes      {data['modes']}: {frequencies} Hz",
         f"  reduction  {data['basis']} basis shapes, {data['sampled']} sampled tetrahedra,"
-        f" {data['patches']} drag patches",
+        f" {data['drag']['points']} drag points",
     ]
+    if "check" in data and "error" in data["drag"]:
+        drag = data["drag"]
+        lines.append(
+            f"  drag       {drag['points']} points for {drag['triangles']} triangles, force within"
+            f" {drag['error']:.2%} on motions held out, areas within {drag['area_error']:.2%}"
+        )
     for name, value in _flat(data.get("check", {})):
         lines.append(f"  check      {name}: {value}")
     return "\n".join([*lines, f"  built in {data['seconds']:.1f} s"])

@@ -12,6 +12,7 @@ from defplan_mj.body.model import Body
 from defplan_mj.errors import DefplanError
 
 STANDARD_GRAVITY = 9.81
+MOST_GEOMS, MOST_HEIGHTS = 10_000, 10_000_000
 HEADER, PER_GEOM = 16, 16  # kernel/terrain.c
 TYPES = {"plane": 0, "sphere": 2, "capsule": 3, "ellipsoid": 4, "cylinder": 5, "box": 6}  # mjtGeom
 SIZES = {"plane": 0, "sphere": 1, "capsule": 2, "ellipsoid": 3, "cylinder": 2, "box": 3}
@@ -115,6 +116,12 @@ def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:
     for name, value in (("stiffness", stiffness), ("slip_speed", terrain.slip_speed)):
         if not 0.0 < value < np.inf:
             raise DefplanError(f"the terrain's {name} is {value}: it must be positive")
+    if len(terrain.geoms) > MOST_GEOMS:
+        raise DefplanError(
+            f"the terrain has {len(terrain.geoms)} geoms: at most {MOST_GEOMS} can be"
+        )
+    if not terrain.geoms and terrain.heightfield is None:
+        raise DefplanError("the terrain has neither geoms nor a heightfield: leave it out")
     if not 0.0 <= terrain.friction < np.inf:
         raise DefplanError(f"the terrain's friction is {terrain.friction}: it must not be negative")
     header = np.zeros(HEADER)
@@ -128,10 +135,15 @@ def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:
         heights = np.asarray(field.heights, float)
         if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():
             raise DefplanError("a heightfield's heights must be numbers on a grid of 2 x 2 or more")
-        if not min(field.half_size) > 0.0:
+        if heights.size > MOST_HEIGHTS:
+            raise DefplanError(
+                f"a heightfield has {heights.size} heights: at most {MOST_HEIGHTS} can be"
+            )
+        if len(field.half_size) != 2 or not all(0.0 < s < np.inf for s in field.half_size):
             raise DefplanError(
                 f"a heightfield's half_size is {field.half_size}: it must be positive"
             )
+        _numbers("heightfield's position", field.position, 3)
         header[6:8] = heights.shape
         header[8:11] = field.position
         header[11:13] = field.half_size
@@ -148,13 +160,21 @@ def _pack_geom(geom: TerrainGeom) -> np.ndarray:
         known = ", ".join(TYPES)
         raise DefplanError(f"the terrain has a geom of shape '{geom.shape}': it can be {known}")
     count = SIZES[geom.shape]
-    if len(geom.size) < count or not all(s > 0.0 for s in geom.size[:count]):
+    if len(geom.size) < count or not all(0.0 < s < np.inf for s in geom.size[:count]):
         raise DefplanError(
             f"a {geom.shape} of the terrain has size {geom.size}: {count} positive numbers are wanted"
         )
+    _numbers(f"{geom.shape}'s position", geom.position, 3)
+    _numbers(f"{geom.shape}'s quaternion", geom.quaternion, 4)
     size = np.zeros(3)
     size[:count] = geom.size[:count]
     return np.concatenate([[TYPES[geom.shape]], size, geom.position, _matrix(geom.quaternion)])
+
+
+def _numbers(what: str, values: tuple[float, ...], count: int) -> None:
+    """Raise a DefplanError unless `values` are `count` finite numbers."""
+    if len(values) != count or not np.isfinite(np.asarray(values, float)).all():
+        raise DefplanError(f"the terrain's {what} is {values}: {count} finite numbers are wanted")
 
 
 def _matrix(quaternion: tuple[float, float, float, float]) -> np.ndarray:

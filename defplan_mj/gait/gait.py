@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,12 @@ from typing import Any
 import numpy as np
 
 from defplan_mj import files
+from defplan_mj.errors import DefplanError
+from defplan_mj.kernel.pack import INTEGRATORS, MAX_SUBSTEPS
 
 FORMAT_VERSION = 2
+MOST_STEPS = 100_000  # in a cycle: a table of them is made
+_HASH = re.compile("[0-9a-f]{64}")
 
 
 def dmp(
@@ -108,16 +113,67 @@ class Gait:
         """Read a gait of `save`.
 
         Raises:
-            DefplanError: the file is missing, damaged or of another version.
+            DefplanError: the file is missing, damaged or of another version, or its content is no gait.
         """
         arrays, meta, _ = files.load_archive(path, "gait", FORMAT_VERSION)
-        return cls(
-            body_hash=meta["body_hash"],
-            task_names=tuple(meta["task_names"]),
-            timestep=meta["timestep"],
-            steps_per_cycle=meta["steps_per_cycle"],
-            substeps=meta["substeps"],
-            integrator=meta["integrator"],
-            meta=meta["meta"],
-            **arrays,
-        )
+        with files.fields_of(path, "gait"):
+            gait = cls(
+                body_hash=meta["body_hash"],
+                task_names=tuple(meta["task_names"]),
+                timestep=meta["timestep"],
+                steps_per_cycle=meta["steps_per_cycle"],
+                substeps=meta["substeps"],
+                integrator=meta["integrator"],
+                meta=meta["meta"],
+                **arrays,
+            )
+        validate_gait(gait, str(path))
+        return gait
+
+
+def validate_gait(gait: Gait, where: str) -> None:
+    """Raise a DefplanError that names the field if something of the gait cannot be.
+
+    Args:
+        where: what is wrong, for the error: a file.
+    """
+
+    def refuse(name: str, why: str) -> None:
+        raise DefplanError(f"{where} is no gait that can be used: its {name} {why}; train it again")
+
+    names, steps = gait.task_names, gait.steps_per_cycle
+    if not isinstance(gait.body_hash, str) or not _HASH.fullmatch(gait.body_hash):
+        refuse("body_hash", "must be 64 hexadecimal digits")
+    if (
+        not names
+        or not all(isinstance(n, str) and n for n in names)
+        or len(set(names)) < len(names)
+    ):
+        refuse("task_names", "must be different names, one or more")
+    if not isinstance(gait.timestep, (int, float)) or not 0.0 < gait.timestep < np.inf:
+        refuse("timestep", f"is {gait.timestep}, it must be positive")
+    if isinstance(steps, bool) or not isinstance(steps, int) or not 1 <= steps <= MOST_STEPS:
+        refuse("steps_per_cycle", f"is {steps}, a whole number from 1 to {MOST_STEPS} is wanted")
+    if gait.integrator not in INTEGRATORS:
+        refuse("integrator", f"is {gait.integrator!r}, it can be {' or '.join(INTEGRATORS)}")
+    substeps = gait.substeps
+    if isinstance(substeps, bool) or not isinstance(substeps, int):
+        refuse("substeps", f"is {substeps!r}, a whole number is wanted")
+    if not 1 <= substeps <= MAX_SUBSTEPS:
+        refuse("substeps", f"is {substeps}, it must lie between 1 and {MAX_SUBSTEPS}")
+    for name in ("alpha", "beta", "mu", "amplitude"):
+        array = getattr(gait, name)
+        if not isinstance(array, np.ndarray) or array.dtype.kind != "f":
+            refuse(name, "must be floating numbers")
+        if not np.isfinite(array).all():
+            refuse(name, "has numbers that are not finite")
+    if gait.mu.ndim != 2 or 0 in gait.mu.shape:
+        refuse("mu", f"has shape {gait.mu.shape}, wanted (wavelets, modes)")
+    wanted = (len(names), *gait.mu.shape)
+    for name in ("alpha", "beta"):
+        if getattr(gait, name).shape != wanted:
+            refuse(name, f"has shape {getattr(gait, name).shape}, wanted {wanted}")
+    if gait.amplitude.shape != wanted[2:]:
+        refuse("amplitude", f"has shape {gait.amplitude.shape}, wanted {wanted[2:]}")
+    if not (gait.amplitude > 0.0).all():
+        refuse("amplitude", "must be positive")

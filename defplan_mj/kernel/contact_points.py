@@ -7,19 +7,12 @@ from functools import lru_cache
 import numpy as np
 
 from defplan_mj.body.model import Body
+from defplan_mj.body.sphere import sphere_directions
 
 COUNT = 192  # at most
 EXTREMAL = 160  # of them corners of the deformed body's convex hull
 _SHAPES, _DIRECTIONS = 24, 256
 _SEED = 0
-
-
-def sphere_directions(count: int) -> np.ndarray:
-    """Return unit vectors (count, 3), evenly spread (a Fibonacci spiral)."""
-    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
-    rho = np.sqrt(1.0 - z * z)
-    return np.stack([rho * np.cos(angle), rho * np.sin(angle), z], axis=1)
 
 
 @lru_cache(maxsize=8)

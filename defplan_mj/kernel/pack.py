@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from defplan_mj.body.model import Body
+from defplan_mj.body.model import LIMITS, Body
+from defplan_mj.body.validate import validate_body
 from defplan_mj.errors import DefplanError
 from defplan_mj.kernel.contact_points import contact_points
 
 MAGIC, VERSION, HEADER, PAD = 20181018.0, 2.0, 16, 8
-LIMITS = {"modes": 16, "basis": 64, "samples": 40, "patches": 512}  # kernel.h
 
 
 def _pad(array: np.ndarray, axis: int) -> np.ndarray:
@@ -32,12 +32,13 @@ def pack_body(body: Body) -> np.ndarray:
     Raises:
         DefplanError: the body is larger than the kernel's fixed work memory.
     """
+    validate_body(body, f"the body {body.name}", whole=False)
     n_samples, _, r = body.feature_map.shape
     sizes = {
         "modes": r,
         "basis": body.n_basis,
         "samples": n_samples,
-        "patches": len(body.patch_areas),
+        "drag points": len(body.drag_areas),
     }
     for name, size in sizes.items():
         if size > LIMITS[name]:
@@ -70,10 +71,10 @@ def pack_body(body: Body) -> np.ndarray:
         weights,
         _pad(_pad(body.moments.transpose(1, 2, 3, 0), 3), 0),  # (b, i, j, a)
         _pad(trace, 0),
-        pack_field(body.patch_points),
-        pack_field(body.patch_tangents[0]),
-        pack_field(body.patch_tangents[1]),
-        _pad(body.patch_areas, 0),
+        pack_field(body.drag_points),
+        pack_field(body.drag_tangents[0]),
+        pack_field(body.drag_tangents[1]),
+        _pad(body.drag_areas, 0),
         pack_field(surface),
         pack_field(surface[contacts]),
     ]
@@ -81,7 +82,7 @@ def pack_body(body: Body) -> np.ndarray:
     radius = np.linalg.norm(body.vertices, axis=1).max()
     header[:11] = (
         *(MAGIC, VERSION, HEADER + sum(s.size for s in sections), r, body.n_basis, n_samples),
-        *(len(body.patch_areas), len(body.surface), body.mass, radius, len(contacts)),
+        *(len(body.drag_areas), len(body.surface), body.mass, radius, len(contacts)),
     )
     return np.concatenate([header, *(np.ascontiguousarray(s).ravel() for s in sections)])
 
