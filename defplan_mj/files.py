@@ -152,6 +152,9 @@ def load_archive(
         with np.load(source, allow_pickle=False) as archive:
             contents = {name: archive[name] for name in archive.files}
         header = json.loads(contents.pop(_HEADER).tobytes())
+        if not isinstance(header, dict) or not isinstance(header["meta"], dict):
+            raise ValueError("no header")
+        told = header["hash"]
     except PermissionError as error:
         raise DefplanError(f"cannot read {source}: {error.strerror}") from error
     except Exception as error:  # a damaged archive makes zipfile and NumPy raise a dozen kinds
@@ -163,8 +166,8 @@ def load_archive(
             f"{source} has {kind} format {header.get('version')}, this version reads {version}: {remake}"
         )
     meta = header["meta"]
-    if content_hash(contents, meta) != header["hash"]:
+    if content_hash(contents, meta) != told:
         raise DefplanError(
             f"{source} is damaged: its content does not match its hash; make it anew"
         )
-    return contents, meta, header["hash"]
+    return contents, meta, told

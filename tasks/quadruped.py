@@ -24,7 +24,6 @@ SWIM = TaskSpec(
         modes=10,
         basis=60,
         samples=24,
-        drag_error=0.05,
         amplitude=1.5,
         length=1.0,
         medium=Medium(righting_height=0.0),

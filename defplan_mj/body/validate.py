@@ -62,6 +62,8 @@ def validate_body(body: Body, where: str, whole: bool = True) -> None:
                     f"has {sizes[name]} entries, at least {least} are wanted")  # fmt: skip
     if (np.diff(body.surface) <= 0).any():
         _refuse(where, "surface", "must be sorted, each vertex once")
+    if whole and not np.array_equal(body.surface, np.unique(body.faces)):
+        _refuse(where, "surface", "is not the vertices of its faces")
     _check_constants(body, where)
     if not body.length > 0.0:
         _refuse(where, "vertices", "are all in one place")
