@@ -122,7 +122,11 @@ class CholeskyFactor:
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Return the solution (3n,) or (3n, m) of a right side of that shape."""
         order = self._order
-        x = right.reshape(len(order._place), -1)[order._place].reshape(order.size, -1)
+        x = (
+            np.asarray(right, float)
+            .reshape(len(order._place), -1)[order._place]
+            .reshape(order.size, -1)
+        )
         for front, (corner, side) in zip(order._fronts, self._columns, strict=True):
             rows, own = front.rows, front.own
             part = blas.dtrsm(1.0, corner, x[rows[:own]], lower=1)
