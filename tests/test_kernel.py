@@ -90,13 +90,15 @@ def released(
     body: Body, shape: np.ndarray, steps: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Return surface paths of f reduced and f, (steps, n_s, 3), their masses, the bend's size."""
-    full, dynamics = FullFem(body, drag=body.medium.density > 0), ReducedDynamics(body)
+    full = FullFem(body, drag=body.medium.density > 0, integrator="implicit-euler", substeps=1)
+    dynamics = ReducedDynamics(body)
     x0 = dynamics.rest_state()
     x0[7 : 7 + dynamics.nu] = shape
     target = np.zeros((steps, dynamics.nu))
     reduced = [dynamics.surface(x) for x in dynamics.rollout(x0, target)[1:]]
-    bent = full.shape(shape)
-    truth = full.rollout(bent, bent, target)[1:, body.surface]
+    start = full.at(shape, target=target[0])
+    bent = start.now
+    truth = np.array([state.now[body.surface] for state in full.rollout(start, target)[1:]])
     mass = body.vertex_mass[body.surface, None]
     bend = np.sqrt((mass * (bent - body.vertices)[body.surface] ** 2).sum())
     return np.array(reduced), truth, mass, float(bend)

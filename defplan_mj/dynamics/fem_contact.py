@@ -1,56 +1,134 @@
-"""Contact of the full FEM's surface vertices with a terrain: the reduced step's law, for tests."""
+"""Contact of the full FEM's surface vertices with a terrain: the reduced step's law, fully implicit.
+
+A vertex whose distance s is less than the thickness d, that comes nearer at -s' and slides at v_t, takes
+
+    N = k (d - s)^2 psi(-b s'),   psi(x) = (1 + x + sqrt((1 + x)^2 + eps^2)) / (1 + sqrt(1 + eps^2)),
+
+along the normal (Hunt and Crossley 1975, without pull), and friction -mu N v_t / sqrt(|v_t|^2 + e^2); all of it
+at the end of the substep, with the velocity over the substep.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from defplan_mj.body.model import Body
-from defplan_mj.dynamics.terrain import Terrain, pack_terrain
+from defplan_mj.dynamics.terrain import HEADER, PER_GEOM, TYPES, Terrain, pack_terrain
 from defplan_mj.kernel.library import kernel
+
+DAMPING = 0.0  # b, s/m
+ROUNDING = 0.1  # eps: how round psi is where it would pull
 
 
 class FemContact:
-    """Penalty and friction at the surface vertices (docs/kernel.md); friction with given normal forces."""
+    """The terrain around a body's surface."""
 
-    def __init__(self, terrain: Terrain, body: Body, timestep: float) -> None:
-        self.surface, self.timestep, self.packed = (
-            body.surface,
-            timestep,
-            pack_terrain(terrain, body),
-        )
+    def __init__(
+        self, terrain: Terrain, body: Body, damping: float = DAMPING, rounding: float = ROUNDING
+    ) -> None:
+        """Prepare the terrain; damping is b, s/m, rounding eps."""
+        self.surface, self.vertices = body.surface, len(body.vertices)
+        self.packed = pack_terrain(terrain, body)
         self.friction, self.stiffness, self.thickness, self.slip = self.packed[1:5]
+        self.damping, self.rounding = damping, rounding
+        geoms = self.packed[HEADER : HEADER + PER_GEOM * len(terrain.geoms)].reshape(-1, PER_GEOM)
+        level = terrain.heightfield is None and (geoms[:, 0] == TYPES["plane"]).all()
+        self._planes = geoms if level and len(geoms) else None
 
-    def _depths(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return depths below the rounding (m,), 0 if none, and normals (m, 3)."""
-        gap, normals = kernel().dp_terrain_gap, np.empty_like(points)
-        gaps = [gap(self.packed, p, n) for p, n in zip(points, normals, strict=True)]
-        return np.maximum(self.thickness - np.array(gaps), 0.0), normals
+    def gaps(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return distances (m,) of points (m, 3) from the terrain, m, and its normals (m, 3)."""
+        if self._planes is not None:
+            normals = self._planes[:, [9, 12, 15]]  # third columns of the rotations
+            gaps = points @ normals.T - (self._planes[:, 4:7] * normals).sum(1)
+            nearest = gaps.argmin(1)
+            return gaps[np.arange(len(points)), nearest], normals[nearest]
+        gap, found = kernel().dp_terrain_gap, np.empty_like(points)
+        values = [gap(self.packed, p, n) for p, n in zip(points, found, strict=True)]
+        return np.array(values), found
 
-    def evaluate(
-        self, x: np.ndarray, x1: np.ndarray, reference: np.ndarray
-    ) -> tuple[float, np.ndarray, np.ndarray]:
-        """Return energy (J), forces (m, 3) and Hessian blocks (m, 3, 3) of the surface vertices.
+    def normal_force(
+        self, gaps: np.ndarray, rates: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return N (m,), N, and its derivatives by the distance, N/m, and by its rate, N s/m."""
+        depth, x = np.maximum(self.thickness - gaps, 0.0), 1.0 - self.damping * rates
+        root, scale = np.hypot(x, self.rounding), 1.0 + np.hypot(1.0, self.rounding)
+        psi, slope = (x + root) / scale, (1.0 + x / root) / scale
+        spring = self.stiffness * depth**2
+        return (
+            spring * psi,
+            -2.0 * self.stiffness * depth * psi,
+            -self.damping * spring * slope,
+        )
+
+    def hold(self, end: np.ndarray, start: np.ndarray, time: float) -> HeldContact:
+        """Evaluate the law.
 
         Args:
-            x, x1: vertices (n, 3) now and at the last step, m.
-            reference: (n, 3) where friction takes its normal forces from.
+            end, start: (n, 3) vertices at the end and the start of the substep.
+            time: between them, s.
         """
-        p, h = x[self.surface], self.timestep
-        depth, normal = self._depths(p)
-        energy = self.stiffness * float((depth**3).sum()) / 3.0
-        force = (self.stiffness * depth**2)[:, None] * normal
-        hessian = (2.0 * self.stiffness * depth)[:, None, None] * _outer(normal)
-        lagged, normal = self._depths(reference[self.surface])
-        limit = self.friction * self.stiffness * lagged**2
-        v = (p - x1[self.surface]) / h
-        v -= (v * normal).sum(1, keepdims=True) * normal
-        speed = np.sqrt((v**2).sum(1) + self.slip**2)
-        s = v / speed[:, None]
-        energy += h * float((limit * (speed - self.slip)).sum())
-        force -= limit[:, None] * s
-        across = np.eye(3) - _outer(normal) - _outer(s)
-        hessian += (limit / (speed * h))[:, None, None] * across
-        return energy, force, hessian
+        p, v = end[self.surface], (end - start)[self.surface] / time
+        gaps, normals = self.gaps(p)
+        near = np.flatnonzero(gaps < self.thickness)
+        v, normal = v[near], normals[near]
+        rate = (v * normal).sum(1)
+        force, by_gap, by_rate = self.normal_force(gaps[near], rate)
+        slide = v - rate[:, None] * normal
+        speed = np.sqrt((slide**2).sum(1) + self.slip**2)
+        along = slide / speed[:, None]
+        limit = self.friction * force
+        across = np.eye(3) - _outer(normal) - _outer(along)
+        blocks = (limit / (speed * time))[:, None, None] * across
+        blocks -= (by_gap + by_rate / time)[:, None, None] * _outer(normal)
+        return HeldContact(
+            self,
+            self.surface[near],
+            start[self.surface[near]],
+            time,
+            normal,
+            force / np.maximum(self.stiffness * (self.thickness - gaps[near]) ** 2, 1e-300),
+            limit,
+            force[:, None] * normal - limit[:, None] * along,
+            blocks,
+        )
+
+
+@dataclass(frozen=True)
+class HeldContact:
+    """Contact at an iterate, and a potential whose derivative there is its force.
+
+    The damping's factor and the friction's normal force and direction of the ground are held in it.
+
+    Attributes:
+        forces: (m, 3) N on the vertices that touch.
+        blocks: (m, 3, 3) minus their derivative, but for friction's dependence on the normal force and
+            the turning of the normal: positive semidefinite, N/m.
+    """
+
+    contact: FemContact
+    touching: np.ndarray
+    start: np.ndarray
+    time: float
+    normal: np.ndarray
+    factor: np.ndarray
+    limit: np.ndarray
+    forces: np.ndarray
+    blocks: np.ndarray
+
+    def energy(self, end: np.ndarray) -> float:
+        """Return the potential (J) at vertices `end` (n, 3)."""
+        law = self.contact
+        gaps, _ = law.gaps(end[law.surface])
+        depth = np.maximum(law.thickness - gaps, 0.0)
+        factor = np.ones(law.vertices)
+        factor[self.touching] = self.factor
+        energy = law.stiffness / 3.0 * float(factor[law.surface] @ depth**3)
+        v = (end[self.touching] - self.start) / self.time
+        v -= (v * self.normal).sum(1, keepdims=True) * self.normal
+        speed = np.sqrt((v**2).sum(1) + law.slip**2)
+        return energy + self.time * float(self.limit @ (speed - law.slip))
 
 
 def _outer(v: np.ndarray) -> np.ndarray:
