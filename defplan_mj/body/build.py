@@ -9,6 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from defplan_mj.body.cubature import drag_points
+from defplan_mj.body.convergence import stiffness_correction
 from defplan_mj.body.elasticity import linear_modes
 from defplan_mj.body.meshing import fill
 from defplan_mj.body.model import LIMITS, Body
@@ -109,6 +110,14 @@ def _build(path: Path, options: BodyOptions, progress: Progress, name: str) -> B
     mesh = TetMesh(mesh.vertices - mass @ mesh.vertices / mass.sum(), mesh.tetrahedra)
     progress("finding the linear modes", 0.2)
     values, modes = linear_modes(mesh, options.material, mass, options.modes)
+    progress("finding how much too stiff the mesh is", 0.25)
+    correction = stiffness_correction(mesh, options.material, mass, modes)
+    values = values * correction.young
+    source["frequencies"] = {
+        "hertz": (np.sqrt(values) / (2.0 * np.pi)).tolist(),
+        "converged": correction.converged.tolist(),
+        "error": correction.remaining.tolist(),
+    }
     scales = mode_scales(feature_map(mesh, modes))
     modes = modes / scales
     amplitude = np.full(options.modes, float(options.amplitude))
@@ -139,6 +148,7 @@ def _build(path: Path, options: BodyOptions, progress: Progress, name: str) -> B
         drag_tangents=np.zeros((2, 0, 3, options.basis + 1)),
         drag_areas=np.zeros(0),
         surface=np.unique(faces),
+        mesh_softening=correction.young,
         source=source,
     )
     progress("choosing the drag points", 0.6)

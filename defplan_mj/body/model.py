@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -84,6 +84,8 @@ class Body:
         drag_areas: (p,) m^2, how much of the surface a point stands for: its area vector is area (t1 x t2),
             outward.
         surface: (n_s,) indices of the vertices on the surface, sorted.
+        mesh_softening: factor of Young's modulus in the mesh's elements: linear tetrahedra are too stiff
+            in bending, with it the lowest frequencies are those of the body (`convergence`).
     """
 
     name: str
@@ -106,7 +108,14 @@ class Body:
     drag_tangents: np.ndarray
     drag_areas: np.ndarray
     surface: np.ndarray
+    mesh_softening: float = 1.0
     source: dict = field(default_factory=dict)  # mesh file, options, quality: what the report shows
+
+    @property
+    def mesh_material(self) -> Material:
+        """The material that the mesh's elements are given, so that the body is of `material`."""
+        young = self.material.youngs_modulus * self.mesh_softening
+        return replace(self.material, youngs_modulus=young)
 
     @property
     def mass(self) -> float:
@@ -141,6 +150,7 @@ class Body:
             "name": self.name,
             "material": asdict(self.material),
             "medium": asdict(self.medium),
+            "mesh_softening": self.mesh_softening,
             "source": self.source,
         }
 
@@ -164,6 +174,7 @@ class Body:
                 name=meta["name"],
                 material=Material(**meta["material"]),
                 medium=Medium(**meta["medium"]),
+                mesh_softening=meta["mesh_softening"],
                 source=meta["source"],
                 **arrays,
             )

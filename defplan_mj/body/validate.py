@@ -122,6 +122,9 @@ def _check_constants(body: Body, where: str) -> None:
                     label,
                     f"is {value}, it must {'not be negative' if zero else 'be positive'}",
                 )
+    softening = body.mesh_softening
+    if not isinstance(softening, (int, float)) or not 0.0 < softening < np.inf:
+        _refuse(where, "mesh_softening", f"is {softening}, it must be positive")
     if not -1.0 < body.material.poissons_ratio < 0.5:
         _refuse(where, "material's poissons_ratio", "must lie between -1 and 0.5")
 

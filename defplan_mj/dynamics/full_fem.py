@@ -125,7 +125,7 @@ class FullFem:
         self.shapes = RotationStrain(
             TetMesh(body.vertices, body.tetrahedra), body.vertex_mass, body.modes
         )
-        self.elements = Elements(body, *lame(body.material))
+        self.elements = Elements(body, *lame(body.mesh_material))
         self._lift = np.zeros_like(body.vertices)  # N
         if drag or terrain is not None:
             # weights with sum_v w_v X_v = z: they read the body's z axis off its vertices

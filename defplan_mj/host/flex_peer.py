@@ -64,7 +64,7 @@ def flex_model(body: Body, kind: str, timestep: float) -> mujoco.MjModel:
     Its elastic energy is that of the body's material: MuJoCo 3.17 takes twice the lambda of the E
     and nu that a full flex is given, and fills the whole bounding box of a trilinear one.
     """
-    young, poisson = body.material.youngs_modulus, body.material.poissons_ratio
+    young, poisson = body.mesh_material.youngs_modulus, body.material.poissons_ratio
     if kind == "full":
         young, poisson = _half_lambda(young, poisson)
     else:
