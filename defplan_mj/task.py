@@ -184,6 +184,7 @@ class TaskSpec:
         navigation: the second stage.
         gait_solver, planner, feedback: default plugins, by name.
         rivals: gait solvers that the report compares with, if they are installed.
+        shipped: files of a body and of gaits that are packaged for the task, or None.
         paper: the paper's figures for this example (Tables I to III), for the report.
     """
 
@@ -205,6 +206,7 @@ class TaskSpec:
     planner: str = "dql"
     feedback: str = "none"
     rivals: tuple[str, ...] = ("alternating",)  # the paper's scheme
+    shipped: tuple[Path, Path] | None = None
     paper: dict = field(default_factory=dict)
 
     @property

@@ -87,6 +87,11 @@ def navigate_environment(
     )
 
 
+def shipped(body: str, gait: str) -> tuple[Path, Path]:
+    """Return the files of a packaged body and gait, as `TaskSpec.shipped` has them."""
+    return ASSETS / f"{body}.npz", ASSETS / f"{gait}.npz"
+
+
 def packaged_body(name: str) -> Body:
     """Return the body that is packaged as assets/NAME.npz."""
     return Body.load(_packaged(name))

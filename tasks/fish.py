@@ -24,6 +24,7 @@ SWIM = TaskSpec(
     gait_steps=576,
     weights=Weights(effort=0.15, style="sideways"),
     navigation=Navigation(),
+    shipped=environments.shipped("fish_body", "fish_gait"),
     # Tables I to III; hours are the paper's own, tasks in its order: left, right, forward.
     paper={
         "vertices": 2118,

@@ -42,6 +42,7 @@ SWIM = TaskSpec(
     weights=Weights(turn=6.0, move=6.0, drift=6.0, roll=1.0, effort=0.15, style="pulse"),
     axis=(0.0, 0.0, 1.0),
     navigation=Navigation(k2=30, beams=128, space="spatial"),
+    shipped=environments.shipped("quadruped_body", "quadruped_gait"),
     # Tables I to III; hours are the paper's own.
     paper={
         "vertices": 1054,
@@ -66,6 +67,7 @@ WALK = walking.walk_spec(
     "a 4-legged body walks to targets among upright cylinders, without turning",
     mesh="quadruped.obj",
     vertices=1054,
+    shipped=environments.shipped("quadruped_walker_body", "quadruped_walker_gait"),
     gait_solver="cio-shooting",  # it trots: shooting alone finds other patterns, and skates more
     paper={
         "full_step_s": 2.1,
@@ -87,6 +89,7 @@ RUN = dataclasses.replace(
     gait_tasks=walking.walking_tasks(1.0),
     weights=dataclasses.replace(walking.WEIGHTS, slip=0.1),
     feedback="ilqg",
+    shipped=environments.shipped("quadruped_walker_body", "quadruped_run_gait"),
 )
 
 SUITE = containers.TaggedTasks()

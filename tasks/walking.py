@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 from dm_control.rl import control
@@ -32,13 +34,20 @@ def walking_tasks(advance: float = ADVANCE) -> tuple[GaitTask, ...]:
 
 
 def walk_spec(
-    name: str, description: str, mesh: str, vertices: int, gait_solver: str, paper: dict
+    name: str,
+    description: str,
+    mesh: str,
+    vertices: int,
+    shipped: tuple[Path, Path],
+    gait_solver: str,
+    paper: dict,
 ) -> TaskSpec:
     """Return the task of a walker: all but its body's shape and the paper's figures is shared.
 
     Args:
         mesh: file among the assets.
         vertices: wanted number of tetrahedral mesh vertices.
+        shipped: files of its body and gaits.
         gait_solver: the default one.
         paper: Tables I to III; hours are the paper's own.
     """
@@ -63,6 +72,7 @@ def walk_spec(
         gait_steps=400,
         weights=WEIGHTS,
         terrain=GROUND,
+        shipped=shipped,
         gait_solver=gait_solver,
         rivals=("cio", "cio-alternating"),  # what the paper walks by, all at once and by turns
         paper={

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from defplan_mj.cli.console import Console
 from defplan_mj.cli.text import (
     bench_text,
+    check_text,
     evaluation_text,
     gait_text,
     robustness_text,
@@ -170,6 +171,21 @@ def robustness(arguments: argparse.Namespace, console: Console) -> int:
     with _stage(arguments, console, "robustness") as run:
         data = study(run, arguments.feedback or (), arguments.cycles, arguments.push)
     console.result(data, robustness_text(data))
+    return 0
+
+
+def check(arguments: argparse.Namespace, console: Console) -> int:
+    """Play a task's gaits with finer steps and through the full FEM, and say what changes."""
+    from defplan_mj import registry
+    from defplan_mj.check import check_gaits, of_run, shipped
+
+    spec = registry.get_task(arguments.task)
+    body, gait = shipped(spec) if arguments.run is None else of_run(arguments.run)
+    with console.progress() as progress:
+        data = check_gaits(
+            spec, body, gait, arguments.full, arguments.cycles, arguments.seed, progress
+        )
+    console.result(data, check_text(data))
     return 0
 
 

@@ -75,6 +75,9 @@ def build() -> argparse.ArgumentParser:
             "robustness", commands.robustness, "count a task's falls among pushes, slopes and so on"
         )
     )
+    _check(
+        add("check", commands.check, "play a task's gaits with finer steps and in the full FEM")
+    )
     _bench(add("bench", commands.bench, "time the step, its peers, the surrogate and the laser"))
     _compare(add("compare", logs.compare, "compare the surrogate with the truth, from logs"))
     _replay(add("replay", logs.replay, "simulate a log again, to the bit", True))
@@ -179,6 +182,21 @@ def _evaluate(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument("--log", type=Path, metavar="DIR", help="log each episode (MCAP) into DIR")
     _stage(sub)
+    _common(sub)
+
+
+def _check(sub: argparse.ArgumentParser) -> None:
+    _task(sub)
+    sub.add_argument(
+        "--run", type=Path, metavar="DIR", help="of a run's body and gaits (default: the packaged)"
+    )
+    sub.add_argument(
+        "--no-full", dest="full", action="store_false", help="leave the full FEM out: seconds"
+    )
+    sub.add_argument(
+        "--cycles", type=_count, default=50, metavar="N", help="that falls are counted in (50)"
+    )
+    sub.add_argument("--seed", type=_natural, default=0, metavar="S", help="(default: 0)")
     _common(sub)
 
 

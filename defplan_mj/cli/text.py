@@ -114,6 +114,30 @@ def robustness_text(data: dict[str, Any]) -> str:
     return table(columns, rows, f"{data['task']}, gaits switched at random")
 
 
+def check_text(data: dict[str, Any]) -> str:
+    """Return a row for each gait: what finer steps and the full FEM change."""
+    kinds = [k for k in ("reduced", "refined", "substeps", "full") if k in data["gaits"][0]["turn_rad"]]
+    rows = []
+    for gait in data["gaits"]:
+        row = [gait["name"]]
+        for what in ("advance_m", "turn_rad"):
+            row += [f"{gait[what][kind]:.3f}" for kind in kinds]
+        if "full" in kinds:
+            row += [f"{100 * gait['shape_error']:.1f}%", f"{gait['attitude_rad']:.3f}"]
+        rows.append(row)
+    columns = ["gait", *(f"m {k}" for k in kinds), *(f"rad {k}" for k in kinds)]
+    columns += ["shape", "attitude"] if "full" in kinds else []
+    text = table(columns, rows, f"{data['task']}: a cycle of each gait")
+    drag, frequency = data["drag_force_error"], data["frequency_error"]
+    notes = [
+        "refined: every step divided by four; substeps: only those; full: the full FEM",
+        f"drag force within {100 * drag:.1f}%" if drag is not None else "",
+        f"frequencies within {100 * frequency:.1f}%" if frequency is not None else "",
+        f"falls with finer steps: {data['falls_refined']}",
+    ]
+    return "\n".join([text, *(note for note in notes if note)])
+
+
 def _pair(mean: float, deviation: float) -> str:
     return f"{mean:.3f} ({deviation:.3f})"
 

@@ -1,0 +1,213 @@
+"""How true a task's gaits are: played through the reduced dynamics, with finer steps, and through the full FEM."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from defplan_mj.body.check import placed_vertices
+from defplan_mj.body.model import Body
+from defplan_mj.dynamics.full_fem import FemState, FullFem
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.errors import DefplanError
+from defplan_mj.gait.gait import Gait
+from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.gait.switching import evaluate_switching, heading, tilt, wrap
+from defplan_mj.task import GaitTask, Progress, TaskSpec, no_progress
+
+FINER = 4  # what every step is divided by
+SETTLE, CYCLES = 2, 1  # cycles from rest that are not judged, and that are, in the full FEM
+_POSES = 4  # of a judged cycle at which shapes are compared
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Mean motion of a gait's judged cycles, in the frame at their start.
+
+    Attributes:
+        advance: in the wanted direction (all of the way if none is wanted), m.
+        turn: about the wanted axis (in the plane: up), rad.
+    """
+
+    advance: float
+    turn: float
+
+
+def shipped(spec: TaskSpec) -> tuple[Body, Gait]:
+    """Return the body and gaits that are packaged for a task.
+
+    Raises:
+        DefplanError: there are none.
+    """
+    if spec.shipped is None:
+        raise DefplanError(
+            f"no gaits are packaged for {spec.name}: name the folder of a run that has some"
+            " (--run DIR)"
+        )
+    body, gait = spec.shipped
+    return Body.load(body), Gait.load(gait)
+
+
+def of_run(folder: Path) -> tuple[Body, Gait]:
+    """Return the body and gaits of a run's folder."""
+    return Body.load(folder / "body.npz"), Gait.load(folder / "gait.npz")
+
+
+def refined(gait: Gait, factor: int = FINER) -> Gait:
+    """Return the same DMP with every step divided by `factor`."""
+    return replace(
+        gait, timestep=gait.timestep / factor, steps_per_cycle=gait.steps_per_cycle * factor
+    )
+
+
+def check_gaits(
+    spec: TaskSpec,
+    body: Body,
+    gait: Gait,
+    full: bool = True,
+    switched: int = 50,
+    seed: int = 0,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Play each gait from rest in the reduced dynamics as it is, with finer steps, and in the full FEM.
+
+    Args:
+        full: whether the full FEM is asked, which takes minutes.
+        switched: cycles, switched at random, in which a walker's falls with finer steps are counted.
+
+    Returns:
+        'task'; 'gaits', for each 'name', 'advance_m' and 'turn_rad' ({'reduced', 'refined', 'substeps',
+        'full'}: of the reduced dynamics; of the same DMP with every step divided by four; with the
+        target's ramp as it is and four times as many substeps; of the full FEM, if it was asked),
+        'shape_error' (rms distance of reduced and full vertices after a rigid motion, of the rms
+        displacement from rest) and 'attitude_rad' (between the two bodies at the end); 'drag_force_error',
+        'frequency_error' (largest of the first three), 'falls_refined'.
+
+    Raises:
+        DefplanError: the gaits are not of this body, or a solve failed.
+    """
+    if gait.body_hash != body.hash:
+        raise DefplanError(
+            f"the gaits belong to another body ({gait.body_hash[:8]}) than {body.name}"
+            f" ({body.hash[:8]}): solve them for this body"
+        )
+    finer = refined(gait)
+    kinds = {
+        "reduced": (_dynamics(spec, body, gait), gait),
+        "refined": (_dynamics(spec, body, finer), finer),
+        "substeps": (_dynamics(spec, body, replace(gait, substeps=FINER * gait.substeps)), gait),
+    }
+    rows = []
+    tasks = [next(t for t in spec.gait_tasks if t.name == name) for name in gait.task_names]
+    for j, task in enumerate(tasks):
+        row: dict[str, Any] = {"name": task.name, "advance_m": {}, "turn_rad": {}}
+        states = {}
+        for kind, (dynamics, played) in kinds.items():
+            progress(f"check: {task.name}, {kind}", j / len(tasks))
+            shapes = np.tile(played.table()[j], (SETTLE + CYCLES, 1))
+            states[kind] = dynamics.rollout(dynamics.rest_state(), shapes)
+            ends = states[kind][SETTLE * played.steps_per_cycle :: played.steps_per_cycle]
+            _tell(row, kind, _motion(spec, task, ends))
+        if full:
+            _compare_full(spec, body, gait, j, states["reduced"], row, progress)
+        rows.append(row)
+    errors = body.source.get("frequencies", {}).get("error", [])[:3]
+    problem = GaitProblem.of(spec, kinds["refined"][0])
+    problem.steps_per_cycle = finer.steps_per_cycle
+    progress("check: switching", 1.0)
+    falls = evaluate_switching(problem, finer, switched, seed).falls if spec.terrain else 0
+    return {
+        "task": spec.name,
+        "gaits": rows,
+        "drag_force_error": body.source.get("drag", {}).get("error"),
+        "frequency_error": max((abs(e) for e in errors), default=None),
+        "falls_refined": falls,
+    }
+
+
+def _dynamics(spec: TaskSpec, body: Body, gait: Gait) -> ReducedDynamics:
+    return ReducedDynamics(body, gait.timestep, spec.terrain, **gait.stepping)
+
+
+def _tell(row: dict[str, Any], kind: str, motion: Motion) -> None:
+    row["advance_m"][kind], row["turn_rad"][kind] = motion.advance, motion.turn
+
+
+def _motion(spec: TaskSpec, task: GaitTask, ends: np.ndarray) -> Motion:
+    """Return the mean motion between states (cycles + 1, >= 7)."""
+    planar = spec.navigation.space == "planar"
+    attitude = Rotation.from_quat(ends[:, 3:7], scalar_first=True)
+    yaw = heading(ends)
+    frame = Rotation.from_euler("z", yaw[:-1, None]) if planar else attitude[:-1]
+    move = frame.inv().apply(np.diff(ends[:, :3], axis=0))
+    if planar:
+        move[:, 2] = 0.0
+        turn = wrap(np.diff(yaw))
+    else:
+        turn = (frame.inv() * attitude[1:]).as_rotvec() @ np.array(task.turn_axis)
+    along = move @ np.array(task.direction) if task.advance else np.linalg.norm(move, axis=1)
+    return Motion(float(along.mean()), float(turn.mean()))
+
+
+def _compare_full(
+    spec: TaskSpec,
+    body: Body,
+    gait: Gait,
+    j: int,
+    reduced: np.ndarray,
+    row: dict[str, Any],
+    progress: Progress,
+) -> None:
+    """Play gait j in the full FEM and fill in what differs."""
+    n, r = gait.steps_per_cycle, body.n_modes
+    fem = FullFem(body, gait.timestep, terrain=spec.terrain, integrator=gait.integrator)
+    start = reduced[0]
+    turned = Rotation.from_quat(start[3:7], scalar_first=True).as_matrix()
+    state = fem.at(start[7 : 7 + r], start[:3], turned, target=start[13 + 2 * r :])
+    steps, shapes = n * (SETTLE + CYCLES), gait.table()[j]
+    looked = {steps - n + (i + 1) * n // _POSES for i in range(_POSES)}
+    ends, errors, sizes, share = [], [], [], body.vertex_mass / body.mass
+    if SETTLE == 0:
+        ends.append(_pose(body, state))
+    for i in range(1, steps + 1):
+        progress(f"check: {row['name']}, full FEM, step {i} of {steps}", i / steps)
+        state = fem.step(state, shapes[(i - 1) % n])
+        if i % n == 0 and i >= SETTLE * n:
+            ends.append(_pose(body, state))
+        if i in looked:
+            here, there = placed_vertices(body, reduced[i]), state.now
+            rotation, move = _fit(share, here, there)
+            errors.append(share @ ((here @ rotation.T + move - there) ** 2).sum(1))
+            rotation, move = _fit(share, body.vertices, there)
+            sizes.append(share @ ((body.vertices @ rotation.T + move - there) ** 2).sum(1))
+    _tell(row, "full", _motion(spec, _task(spec, row["name"]), np.array(ends)))
+    row["shape_error"] = float(np.sqrt(np.sum(errors) / np.sum(sizes)))
+    rotation, _ = _fit(share, placed_vertices(body, reduced[-1]), state.now)
+    row["attitude_rad"] = float(np.linalg.norm(Rotation.from_matrix(rotation).as_rotvec()))
+    if spec.terrain is not None:
+        row["fell_full"] = bool(tilt(np.array(ends)).max() > np.radians(30.0))
+
+
+def _task(spec: TaskSpec, name: str) -> GaitTask:
+    return next(task for task in spec.gait_tasks if task.name == name)
+
+
+def _pose(body: Body, state: FemState) -> np.ndarray:
+    """Return the place and quaternion (7,) of the full body, as the reduced one's that fits it best."""
+    share = body.vertex_mass / body.mass
+    rotation, _ = _fit(share, body.vertices, state.now)
+    quaternion = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+    return np.concatenate([share @ state.now, quaternion])
+
+
+def _fit(share: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return rotation and move that bring vertices a (n, 3) closest to b (n, 3)."""
+    centre_a, centre_b = share @ a, share @ b
+    u, _, vt = np.linalg.svd(((b - centre_b) * share[:, None]).T @ (a - centre_a))
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = u @ flip @ vt
+    return rotation, centre_b - rotation @ centre_a
