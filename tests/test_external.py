@@ -131,7 +131,7 @@ def test_functions_outlive_what_made_them_and_give_their_slots_back(small_fish):
 
 def test_more_functions_at_once_than_there_are_slots_is_an_error(dynamics):
     many = CasadiDynamics(dynamics)
-    with pytest.raises(DefplanError, match="64 are in use"):
+    with pytest.raises(DefplanError, match="64 slots are in use"):
         for n in range(1, 66):
             many.rollout(n)
     del many

@@ -78,6 +78,11 @@ class ReducedDynamics:
         )
         self._rest: np.ndarray | None = None
 
+    def __reduce__(self) -> tuple:
+        """Pickle as the body and the options; the kernel's arrays are laid out anew."""
+        options = self.timestep, self.terrain, self.feet, float(self.par[8]), int(self.par[9])
+        return ReducedDynamics, (self.body, *options)
+
     @property
     def timestep(self) -> float:
         """Time step, s."""

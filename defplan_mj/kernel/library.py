@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from ctypes import c_double, c_int, c_long, c_size_t, c_void_p
+from ctypes import c_char_p, c_double, c_int, c_long, c_size_t, c_void_p
 from functools import cache
 from pathlib import Path
 
@@ -89,8 +89,10 @@ def kernel() -> ctypes.CDLL:
         "dp_surface": (None, [a, a, a]),
         "dp_clearance": (c_double, [a, a, c_int, p(Geom), c_double, p(c_int), p(c_int)]),
         "dp_geom_distance": (c_double, [p(Geom), a, a]),
-        "dp_slot_open": (c_int, [m, c_int]),
+        "dp_slot_open": (c_int, [m, c_int, c_char_p, c_int]),
         "dp_slot_close": (None, [c_int]),
+        "dp_slot_sizes": (None, [c_int, c_char_p]),
+        "dp_slot_failure": (c_int, [c_int]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(lib, name)
