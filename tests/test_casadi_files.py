@@ -70,9 +70,7 @@ np.savez(sys.argv[3], a=np.array(a), b=np.array(b))
         np.testing.assert_array_equal(out[name], np.array(wanted))
 
 
-def test_functions_load_where_their_slots_are_taken_by_other_bodies(
-    dynamics, other, at, tmp_path
-):
+def test_functions_load_where_their_slots_are_taken_by_other_bodies(dynamics, other, at, tmp_path):
     function = CasadiDynamics(dynamics).step
     wanted, text = np.array(function(*at)), function.serialize()
     (slot,) = casadi_slots.slots_in(text, encoded=True)
@@ -95,9 +93,7 @@ def test_functions_load_where_their_slots_are_taken_by_other_bodies(
     np.testing.assert_array_equal(np.array(load_function(tmp_path / "again.npz")(*at)), wanted)
 
 
-def test_casadis_own_way_is_refused_where_the_slot_holds_another_body(
-    dynamics, other, at, capfd
-):
+def test_casadis_own_way_is_refused_where_the_slot_holds_another_body(dynamics, other, at, capfd):
     texts = [
         f.serialize()
         for f in (
@@ -161,7 +157,9 @@ def test_a_whole_solver_is_saved_with_its_body(dynamics, tmp_path):
     save_function(tmp_path / "solver.npz", solver)
     del solver, cost, end
     gc.collect()
-    np.testing.assert_array_equal(np.array(load_function(tmp_path / "solver.npz")(x0=0)["x"]), wanted)
+    np.testing.assert_array_equal(
+        np.array(load_function(tmp_path / "solver.npz")(x0=0)["x"]), wanted
+    )
 
 
 def test_files_that_are_not_whole_functions_are_named(dynamics, tmp_path):
@@ -218,5 +216,3 @@ def test_functions_of_one_step_of_a_body_share_a_slot(dynamics, at):
     steps = [CasadiDynamics(dynamics).step for _ in range(casadi_slots.N_SLOTS + 6)]
     assert len({f.name() for f in steps}) == 1
     np.testing.assert_array_equal(np.array(steps[-1](*at)), np.array(steps[0](*at)))
-
-
