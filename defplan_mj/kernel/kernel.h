@@ -57,6 +57,10 @@ typedef struct {
   double residual; /* size of the last Newton step */
 } dp_info;
 
+/* "" or the first instruction set that the library was compiled to use and this machine lacks: to be
+ * asked before anything else is called. */
+DP_API const char* dp_missing_instructions(void);
+
 /* 0 if blob holds a body of this version in n doubles, else a negative code. */
 DP_API int dp_check(const double* blob, size_t n);
 /* 0 if terrain (not NULL) holds one in n doubles; feet for this body likewise. */
