@@ -118,12 +118,11 @@ def make_function(arrays: Arrays, name: str, steps: int) -> casadi.Function:
         close_slot(slot)
 
 
-def slots_in(text: str, encoded: bool = False) -> list[int]:
-    """Return the slots that a serialised function (or a function's description) is on."""
-    names = "|".join(map(encode, _DERIVATIVES)) if encoded else "|".join(_DERIVATIVES)
-    digits = f"{encode('_')}([a-p]{{4}})" if encoded else "_([0-9]{2})"
-    found = set(re.findall(f"(?:{names}){digits}", text))
-    return sorted(int(decode(digit)) if encoded else int(digit) for digit in found)
+def slots_in(serialised: str) -> list[int]:
+    """Return the slots that a serialised function is on."""
+    names = "|".join(map(encode, _DERIVATIVES))
+    found = set(re.findall(f"(?:{names}){encode('_')}([a-p]{{4}})", serialised))
+    return sorted(int(decode(digits)) for digits in found)
 
 
 def encode(text: str) -> str:
@@ -142,8 +141,6 @@ def failure(function: casadi.Function) -> str | None:
 
     CasADi says 'Evaluation failed' only. The reason is forgotten when it has been asked for.
     """
-    codes = [
-        library.kernel().dp_slot_failure(slot) for slot in slots_in(function.serialize(), True)
-    ]
+    codes = [library.kernel().dp_slot_failure(slot) for slot in slots_in(function.serialize())]
     reasons = [_FAILURES[code] for code in codes if code]
     return reasons[0] if reasons else None

@@ -6,12 +6,26 @@ from functools import cached_property
 
 import casadi
 
-from defplan_mj.dynamics.casadi_files import load_function, save_function
+from defplan_mj.dynamics.casadi_files import (
+    Instance,
+    load_function,
+    load_instance,
+    save_function,
+    save_instance,
+)
 from defplan_mj.dynamics.casadi_slots import failure, make_function
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.errors import DefplanError
 
-__all__ = ["CasadiDynamics", "failure", "load_function", "save_function"]
+__all__ = [
+    "CasadiDynamics",
+    "Instance",
+    "failure",
+    "load_function",
+    "load_instance",
+    "save_function",
+    "save_instance",
+]
 
 KEPT = 4  # rollouts that a function remembers (N_KEPT in kernel/casadi.c)
 
