@@ -34,7 +34,7 @@ FLAGS = ["-O3", "-std=c11", "-fPIC", "-shared", "-fvisibility=hidden", "-fno-mat
 FLAGS += ["-fno-trapping-math", "-fassociative-math", "-fno-signed-zeros", "-ffp-contract=fast"]
 # Vectors that a machine does not have are passed in memory: a matter of the ABI, but of no other library.
 FLAGS += ["-Wall", "-Wextra", "-Wno-psabi"]
-SANITIZE = ["-O1", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined"]
+SANITIZE = ["-O2", "-g", "-fno-omit-frame-pointer", "-fsanitize=address,undefined"]
 SANITIZE += ["-fno-sanitize-recover=all"]
 NO_COMPILER = (
     "defplan needs a C compiler to build its kernel: install gcc or clang, or name one in CC"
