@@ -77,8 +77,8 @@ def save_instance(path: str | Path, instance: Instance) -> None:
 def load_instance(path: str | Path) -> Instance:
     """Read a problem of `save_instance` or `GaitProblem.export`; as `load_function`."""
     function, arrays, meta = _load(path, _PROBLEM)
-    values = (arrays[name] for name in _VALUES)
-    return Instance(function, *values, meta=meta, body=arrays["body_file"].tobytes())
+    x0, lbx, ubx, lbg, ubg = (arrays[name] for name in _VALUES)
+    return Instance(function, x0, lbx, ubx, lbg, ubg, meta, arrays["body_file"].tobytes())
 
 
 def _save(
