@@ -12,12 +12,12 @@ import dataclasses
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from defplan_mj import registry, threads
+from defplan_mj.bench_integrators import error_against_time, integrators
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.reduced import ReducedDynamics
@@ -27,48 +27,12 @@ from defplan_mj.planning.scenes import Scene, novel_scenes, training_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv
 from defplan_mj.task import Navigation, Progress, TaskSpec, no_progress
+from defplan_mj.timing import Timing, measure
 
 OBSTACLES = 10
 ENVIRONMENTS = 256
 _GEOM_TYPES = {"sphere": 2, "cylinder": 5}  # MuJoCo's
 VIGOUR = 0.9  # of the largest amplitude a gait may ask for
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Wall times of one call, seconds."""
-
-    samples: np.ndarray
-
-    @property
-    def median(self) -> float:
-        """Half of the calls are faster."""
-        return float(np.median(self.samples))
-
-    @property
-    def p99(self) -> float:
-        """One call of a hundred is slower."""
-        return float(np.quantile(self.samples, 0.99))
-
-    def scaled(self, unit: float, digits: int = 2) -> dict[str, float]:
-        """Return median and p99 in units of `unit` seconds."""
-        return {
-            "median": round(self.median / unit, digits),
-            "p99": round(self.p99 / unit, digits),
-        }
-
-
-def measure(call: Callable[[], Any], repeats: int, warm: int = 3) -> Timing:
-    """Time `repeats` calls, after `warm` untimed ones."""
-    for _ in range(warm):
-        call()
-    samples = np.empty(repeats)
-    clock = time.perf_counter_ns
-    for i in range(repeats):
-        start = clock()
-        call()
-        samples[i] = clock() - start
-    return Timing(1e-9 * samples)
 
 
 def vigorous_gait(body: Body, timestep: float, steps_per_cycle: int) -> Gait:
@@ -219,6 +183,7 @@ def bench(
     progress("bench: full FEM", 0.7)
     full = _full_fem(body, spec.timestep, gait, 20 // few + 2, progress)
     progress("bench: full FEM", 1.0)
+    rows = error_against_time(integrators(body, spec), gait.table()[0], 3 if quick else 6)
 
     per_cycle = spec.steps_per_cycle
     return {
@@ -243,6 +208,7 @@ def bench(
         "environment_step_us": cycle.scaled(1e-6 * per_cycle, 1),
         "environment_real_time_factor": round(gait.cycle_seconds / cycle.median, 1),
         "empty_call_us": round(empty.median * 1e6, 2),
+        "error_against_time": [dataclasses.asdict(row) for row in rows],
         "conditions": {
             "task": spec.name,
             "vertices": len(body.vertices),
@@ -318,25 +284,34 @@ def _sensing(spec: TaskSpec, body: Body, gait: Gait, space: str, repeats: int) -
 
 
 def _environment_cycles(environment: Any, repeats: int) -> Timing:
-    """Time whole gait cycles of `env.step`, laser and contact queries included."""
+    """Time whole gait cycles of `env.step`, laser and contact queries included.
 
-    def cycle() -> float:
-        if environment.task.outcome != "running":
-            environment.reset()
-        start = time.perf_counter()
-        environment.step(0)
-        return time.perf_counter() - start
-
-    samples: list[float] = []
-    whole = environment.task.gait.cycle_seconds
+    A gait that fells a walker has few whole cycles, or none: then those that an end cut short count,
+    too, scaled to a whole cycle. Twice `repeats` cycles are the most that are played.
+    """
+    whole, physics_step = environment.task.gait.cycle_seconds, environment.physics.timestep()
     for _ in range(5):
-        cycle()
-    while len(samples) < repeats:
-        before = environment.physics.time()
-        seconds = cycle()
-        if abs(environment.physics.time() - before - whole) < 1e-9:  # not cut short by the end
-            samples.append(seconds)
-    return Timing(np.array(samples))
+        _cycle(environment)
+    complete, scaled = [], []
+    for _ in range(2 * repeats):
+        seconds, simulated = _cycle(environment)
+        if simulated > whole - 0.5 * physics_step:
+            complete.append(seconds)
+        elif simulated > 0.5 * physics_step:
+            scaled.append(seconds * whole / simulated)
+        if len(complete) == repeats:
+            break
+    enough = len(complete) >= max(1, repeats // 10)
+    return Timing(np.array(complete if enough else complete + scaled))
+
+
+def _cycle(environment: Any) -> tuple[float, float]:
+    """Play a cycle, after a reset if the last episode is over; wall and simulated seconds."""
+    if environment.task.outcome != "running":
+        environment.reset()
+    before, start = environment.physics.time(), time.perf_counter()
+    environment.step(0)
+    return time.perf_counter() - start, environment.physics.time() - before
 
 
 def _transition(

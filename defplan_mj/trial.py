@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 if TYPE_CHECKING:
     from dm_control.rl.control import Environment
 
@@ -123,19 +121,15 @@ def steering(run: Run, shield: bool) -> Planner:
 def environment(run: Run, obstacles: int | None = None) -> Environment:
     """Return the run's navigation environment; it draws novel scenes from the run's seed."""
     from defplan_mj.host.navigation import navigation_environment
-    from defplan_mj.planning.scenes import novel_scenes
+    from defplan_mj.planning.scenes import NovelScenes
 
     navigation = run.spec.navigation
-
-    def sampler(random: np.random.RandomState) -> Scene:
-        return novel_scenes(navigation, 1, int(random.randint(2**31)), obstacles)[0]
-
     feedback = run.feedback_solver.prepare(run.dynamics, run.gait, navigation.space)
     return navigation_environment(
         run.body,
         run.gait,
         navigation,
-        sampler,
+        NovelScenes(navigation, obstacles),
         terrain=run.spec.terrain,
         feedback=feedback,
         random=run.options.seed,

@@ -15,7 +15,7 @@ from defplan_mj.host.navigation import navigation_environment
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.host.skin import texture_of
-from defplan_mj.planning.scenes import Scene, novel_scenes
+from defplan_mj.planning.scenes import NovelScenes, Scene
 from defplan_mj.task import Navigation, TaskSpec
 
 ASSETS = Path(__file__).parent / "assets"
@@ -69,16 +69,11 @@ def navigate_environment(
         obstacle_speed: of drawn obstacles, m/s.
     """
     there = navigation or spec.navigation
-
-    def sampler(generator: np.random.RandomState) -> Scene:
-        seed = int(generator.randint(2**31))
-        return novel_scenes(there, 1, seed, obstacles, obstacle_speed)[0]
-
     return navigation_environment(
         body,
         gait,
         there,
-        sampler,
+        NovelScenes(there, obstacles, obstacle_speed),
         scene=scene,
         terrain=spec.terrain,
         time_limit=time_limit,

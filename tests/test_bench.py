@@ -47,6 +47,49 @@ def test_single_steps_by_address_are_those_of_the_rollout(small_fish):
     assert len(kernel.steps(states, shapes).samples) == len(shapes)
 
 
+class Falls:
+    """An environment whose episodes end within their first cycle, or in its middle, as chosen."""
+
+    def __init__(self, ends_after: list[float]) -> None:
+        self.task = self.physics = self
+        self.gait, self.cycle_seconds = self, 0.4
+        self.outcome, self._ends, self._now = "fall", ends_after, 0.0
+        self.cycles = self.resets = 0
+
+    def timestep(self) -> float:
+        return 0.04
+
+    def time(self) -> float:
+        return self._now
+
+    def reset(self) -> None:
+        self.outcome, self._now, self.resets = "running", 0.0, self.resets + 1
+
+    def step(self, action: int) -> None:
+        simulated = self._ends[self.cycles % len(self._ends)]
+        self.cycles += 1
+        self._now += simulated
+        self.outcome = "running" if simulated == 0.4 else "fall"
+
+
+@pytest.mark.parametrize("ends, wanted", [([0.2], 40), ([0.4], 20), ([0.4, 0.12], 20)])
+def test_cycles_are_timed_also_when_every_one_ends_in_a_fall(ends, wanted):
+    environment = Falls(ends)
+    timing = bench._environment_cycles(environment, 20)
+    assert len(timing.samples) == wanted
+    assert environment.cycles <= 45
+
+
+def test_errors_shrink_with_the_step_and_the_reference_has_none(small_fish):
+    fish = registry.get_task("fish-swim")
+    table = 0.3 * bench.vigorous_gait(small_fish, 0.04, 11).table()[0]
+    rows = bench.error_against_time(bench.integrators(small_fish, fish), table, 2)
+    errors = [row.advance_error for row in rows]
+    assert errors[0] > errors[1] > errors[2] > errors[3] == 0
+    assert rows[-1].turn_error_rad == pytest.approx(0, abs=1e-7)
+    assert all(row.step_us > 0 for row in rows)
+
+
 def test_all_promised_figures_are_there_and_the_table_shows_them(small_fish):
     fish = registry.get_task("fish-swim")
     spec = dataclasses.replace(fish, body=dataclasses.replace(fish.body, vertices=300))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import importlib.util
+import sys
 from pathlib import Path
 
 import casadi as ca
@@ -131,7 +132,7 @@ def test_functions_outlive_what_made_them_and_give_their_slots_back(small_fish):
 
 def test_more_functions_at_once_than_there_are_slots_is_an_error(dynamics):
     many = CasadiDynamics(dynamics)
-    with pytest.raises(DefplanError, match="64 are in use"):
+    with pytest.raises(DefplanError, match="64 slots are in use"):
         for n in range(1, 66):
             many.rollout(n)
     del many
@@ -176,13 +177,25 @@ def test_the_step_without_second_derivatives_has_the_same_value_and_jacobian(dyn
     np.testing.assert_allclose(np.array(at), 2 * np.eye(dynamics.nu), atol=1e-15)
 
 
-@pytest.fixture(scope="module")
-def example():
-    path = Path(__file__).parents[1] / "docs" / "examples" / "multiple_shooting.py"
-    spec = importlib.util.spec_from_file_location("multiple_shooting", path)
+def example_named(name: str):
+    path = Path(__file__).parents[1] / "docs" / "examples" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # its dataclasses look their types up there
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def example():
+    return example_named("multiple_shooting")
+
+
+@pytest.mark.slow
+def test_the_swimming_example_arrives_by_single_and_by_multiple_shooting(small_fish, tmp_path):
+    small_fish.save(tmp_path / "body.npz")
+    single, multiple = example_named("swimming").main(str(tmp_path / "body.npz"), 0.4, 0.8)
+    assert single < 0.01 and multiple < 0.01  # m, simulated
 
 
 @pytest.mark.parametrize("solver", ["ipopt", "fatrop"])

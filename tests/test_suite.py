@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import pickle
+import subprocess
+import sys
 from unittest import mock
 
 import host_samples as samples
@@ -55,6 +57,20 @@ OBJECTS = {
     "numeric": "nnumeric",
     "text": "ntext",
 }
+
+
+# A fresh interpreter, as a spawned worker is.
+ELSEWHERE = """
+import pathlib, pickle, sys
+import numpy as np
+folder = pathlib.Path(sys.argv[1])
+environment, actions = pickle.loads((folder / "environment.pickle").read_bytes())
+out = {}
+for i, action in enumerate(actions):
+    for name, value in environment.step(action).observation.items():
+        out[f"{name}{i}"] = value
+np.savez(folder / "out.npz", **out)
+"""
 
 
 def _load(domain: str, task: str, random=None, **kwargs) -> control.Environment:
@@ -220,6 +236,24 @@ def test_saved_states_replay_to_the_bit(domain, task):
     with physics.reset_context():
         physics.set_state(saved)
     assert np.array_equal(replay(), first)
+
+
+@pytest.mark.parametrize("domain, task", TASKS)
+def test_whole_environments_go_on_alike_in_another_process(domain, task, tmp_path):
+    environment = _load(domain, task, random=3)
+    environment.reset()
+    policy = _policy(environment.action_spec(), 0)
+    actions = [policy() for _ in range(4)]
+    environment.step(actions[0])
+    (tmp_path / "environment.pickle").write_bytes(pickle.dumps((environment, actions[1:])))
+    done = subprocess.run(
+        [sys.executable, "-c", ELSEWHERE, tmp_path], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    with np.load(tmp_path / "out.npz") as out:
+        for i, action in enumerate(actions[1:]):
+            for name, value in environment.step(action).observation.items():
+                np.testing.assert_array_equal(out[f"{name}{i}"], value)
 
 
 @pytest.mark.parametrize(("domain", "task"), TASKS)

@@ -177,6 +177,16 @@ def bench_text(data: dict[str, Any]) -> str:
         f"{is_of['task']}: {is_of['vertices']} vertices, r = {is_of['modes']}, k = {is_of['basis']},"
         f" time step {is_of['timestep_s']} s; an empty call takes {data['empty_call_us']:.2f} µs",
     ]
+    errors = [
+        [
+            row["name"],
+            f"{row['step_us']:.1f} µs",
+            f"{100 * row['advance_error']:.2f}%",
+            f"{row['turn_error_rad']:.4f}",
+        ]
+        for row in data["error_against_time"]
+    ]
+    lines.append(table(["integrator", "a step", "off in place", "attitude, rad"], errors))
     if is_of["quick"]:
         lines.append("few repeats (--quick): not to be quoted")
     return "\n".join(lines)

@@ -6,9 +6,26 @@ from functools import cached_property
 
 import casadi
 
+from defplan_mj.dynamics.casadi_files import (
+    Instance,
+    load_function,
+    load_instance,
+    save_function,
+    save_instance,
+)
+from defplan_mj.dynamics.casadi_slots import failure, make_function
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.errors import DefplanError
-from defplan_mj.kernel.library import PATH, kernel
+
+__all__ = [
+    "CasadiDynamics",
+    "Instance",
+    "failure",
+    "load_function",
+    "load_instance",
+    "save_function",
+    "save_instance",
+]
 
 KEPT = 4  # rollouts that a function remembers (N_KEPT in kernel/casadi.c)
 
@@ -18,12 +35,16 @@ class CasadiDynamics:
 
     The functions run in compiled code without Python, may be mapped over threads, and stay valid
     when this object is gone. Their derivatives are exact; a step that does not converge is an
-    evaluation error, which ipopt answers with a shorter step.
+    evaluation error, which ipopt answers with a shorter step; `failure` tells why. `save_function`
+    writes a function with its body. This object pickles as its dynamics: the functions are made anew.
     """
 
     def __init__(self, dynamics: ReducedDynamics):
         self.dynamics = dynamics
         self._rollouts: dict[int, casadi.Function] = {}
+
+    def __reduce__(self) -> tuple:
+        return CasadiDynamics, (self.dynamics,)
 
     @cached_property
     def step(self) -> casadi.Function:
@@ -104,13 +125,4 @@ class CasadiDynamics:
         return casadi.Function("rollouts", [x0, u], [casadi.horzcat(*parts)])
 
     def _function(self, name: str, steps: int) -> casadi.Function:
-        slot = kernel().dp_slot_open(self.dynamics.model, steps)
-        if slot < 0:
-            reason = {-1: "64 are in use already", -2: "steps must be positive"}.get(
-                slot, "no memory"
-            )
-            raise DefplanError(f"no CasADi function of the reduced dynamics can be made: {reason}")
-        try:
-            return casadi.external(f"{name}_{slot}", str(PATH))
-        finally:
-            kernel().dp_slot_close(slot)
+        return make_function(self.dynamics.model.arrays, name, steps)

@@ -85,6 +85,11 @@ class ReducedDynamics:
         )
         self._rest: np.ndarray | None = None
 
+    def __reduce__(self) -> tuple:
+        """Pickle as the body and the options; the kernel's arrays are laid out anew."""
+        options = self.timestep, self.terrain, self.feet, float(self.par[8]), int(self.par[9])
+        return _restore, ((self.body, *options), self.stepping)
+
     @property
     def timestep(self) -> float:
         """Time step, s."""
@@ -202,9 +207,7 @@ class ReducedDynamics:
 
     def rollout_count(self, x0: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, int]:
         """Like `rollout`, but return the number of failed solves instead of raising."""
-        u = np.ascontiguousarray(u, np.float64)
-        if u.ndim != 2 or u.shape[1] != self.nu:
-            raise DefplanError(f"the inputs have shape {u.shape}, wanted (N, {self.nu})")
+        u = self._inputs(u)
         states = np.empty((len(u) + 1, self.nx))
         states[0] = self._state(x0)
         failed = self._lib.dp_rollout(self.model, len(u), u, states, None)
@@ -240,9 +243,14 @@ class ReducedDynamics:
             states: (N + 1, nx) its states.
             g_states: (N + 1, nx) partial derivatives of the function by the states.
         """
-        u = np.ascontiguousarray(u, np.float64)
+        u = self._inputs(u)
         total, gu = np.array(g_states, np.float64, order="C"), np.empty_like(u)
         states = np.ascontiguousarray(states, np.float64)
+        for name, array in (("states", states), ("gradients", total)):
+            if array.shape != (len(u) + 1, self.nx):
+                raise DefplanError(
+                    f"the {name} have shape {array.shape}, wanted ({len(u) + 1}, {self.nx})"
+                )
         if self._lib.dp_rollout_adj(self.model, len(u), u, states, total, gu):
             raise DefplanError("the rollout has no derivative: a step's Hessian is singular")
         return total[0], gu
@@ -261,10 +269,13 @@ class ReducedDynamics:
 
     def surface(self, x: np.ndarray) -> np.ndarray:
         """Return the world positions (n_s, 3) of the body's surface vertices, m."""
-        points = np.empty((len(self.body.surface), 3))
-        self._lib.dp_surface(
-            self.blob, np.ascontiguousarray(x[: 7 + self.body.n_modes], np.float64), points
-        )
+        points, x = np.empty((len(self.body.surface), 3)), np.ascontiguousarray(x, np.float64)
+        if x.shape not in ((self.nx,), (7 + self.body.n_modes,)):
+            raise DefplanError(
+                f"the state has shape {x.shape}, wanted ({self.nx},) or its first"
+                f" {7 + self.body.n_modes} numbers"
+            )
+        self._lib.dp_surface(self.blob, x, points)
         return points
 
     def contacts(self, x: np.ndarray) -> Contacts:
@@ -316,8 +327,19 @@ class ReducedDynamics:
             raise DefplanError(f"the state has shape {x.shape}, wanted ({self.nx},)")
         return x
 
+    def _inputs(self, u: np.ndarray) -> np.ndarray:
+        u = np.ascontiguousarray(u, np.float64)
+        if u.ndim != 2 or u.shape[1] != self.nu:
+            raise DefplanError(f"the inputs have shape {u.shape}, wanted (N, {self.nu})")
+        return u
+
     def _input(self, u: np.ndarray) -> np.ndarray:
         u = np.ascontiguousarray(u, np.float64)
         if u.shape != (self.nu,):
             raise DefplanError(f"the input has shape {u.shape}, wanted ({self.nu},)")
         return u
+
+
+def _restore(arguments: tuple, stepping: dict[str, Any]) -> ReducedDynamics:
+    """Return the dynamics that were pickled."""
+    return ReducedDynamics(*arguments, **stepping)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.errors import DefplanError
-from defplan_mj.gait import costs
+from defplan_mj.gait import costs, export
 from defplan_mj.gait.friction import Sliding
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.style import STYLES
@@ -256,6 +257,27 @@ class GaitProblem:
         return [balanced_sequence(self.n_tasks, length, rng) for _ in range(count)]
 
     # --- results
+
+    def export(
+        self,
+        path: str | Path,
+        seed: int = 0,
+        start: np.ndarray | None = None,
+        bound: float = 4.0,
+        sequences: list[list[int]] | None = None,
+    ) -> None:
+        """Write the whole problem to a file that `external.load_instance` reads, without this class.
+
+        It holds w -> (E_obj, target shapes), bounds of w (of alpha and beta) and of the shapes (the
+        body's amplitude), a start, the body and the kernel's arrays.
+
+        Args:
+            seed: of the sequences and of the start.
+            start: (n_w,) where to start; None: a random gait.
+            bound: of alpha and beta.
+            sequences: of tasks, as `objective` takes them; None: `switching_sequences`.
+        """
+        export.export(self, path, seed, start, bound, sequences)
 
     def gait(self, w: np.ndarray, meta: dict) -> Gait:
         """Return the Gait of w."""

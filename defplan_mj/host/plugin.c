@@ -2,7 +2,7 @@
  * reduced step of the kernel, and senses how far the deformed surface is from the scene's geoms.
  *
  * Build (setup.py does; by hand, with S = the site-packages folder that holds mujoco):
- *   gcc -O3 -march=native -std=c11 -fPIC -shared -I$S/mujoco/include -Idefplan_mj/kernel \
+ *   gcc -O3 -march=x86-64-v3 -std=c11 -fPIC -shared -I$S/mujoco/include -Idefplan_mj/kernel \
  *       defplan_mj/host/plugin.c -o defplan_mj/host/libdefplan_plugin.so \
  *       -Ldefplan_mj/kernel -ldefplan_kernel -Wl,-rpath,'$ORIGIN/../kernel' \
  *       -L$S/mujoco -l:libmujoco.so.3.17.0

@@ -8,9 +8,10 @@ from pathlib import Path
 import mujoco
 
 from defplan_mj.errors import DefplanError
+from defplan_mj.kernel.library import kernel, library_path
 
 NAME = "defplan.reduced_fem"
-LIBRARY = Path(__file__).with_name("libdefplan_plugin.so")
+LIBRARY = library_path("host", "libdefplan_plugin.so")
 
 
 @functools.cache
@@ -25,6 +26,7 @@ def load_plugin(library: Path = LIBRARY) -> None:
             f"the MuJoCo plugin {library} is not built: install defplan from source"
             " (pip install .), which needs gcc or clang"
         )
+    kernel()  # says so if this machine cannot run it
     try:
         mujoco.mj_loadPluginLibrary(str(library))
     except (mujoco.FatalError, RuntimeError, OSError) as error:

@@ -1,34 +1,45 @@
 /* The kernel as CasADi external functions, with exact derivatives.
  *
  * A slot holds a model and a number of steps N; slot s is seen by CasADi as
- *   defplan_step_<s>     (x, u) -> x_next           with jac_ and adj1_   (only for N = 1)
- *   defplan_rollout_<s>  (x0, u: nu x N) -> x: nx x N  with adj1_           (states after each step)
- *   defplan_feet_<s>     x -> p: 3 x n_feet         with jac_             (where the feet are)
+ *   defplan_step_<ss>    (x, u) -> x_next           with jac_ and adj1_   (only for N = 1)
+ *   defplan_rollout_<ss> (x0, u: nu x N) -> x: nx x N  with adj1_           (states after each step)
+ *   defplan_feet_<ss>    x -> p: 3 x n_feet         with jac_             (where the feet are)
  * CasADi counts the references to its functions through _incref and _decref: a slot is free again
- * when its opener has closed it and the last function on it is gone. */
+ * when its opener has closed it and the last function on it is gone. A function names its model: its
+ * config_args are the slot's key and sizes, which _config compares, so that a function that was saved
+ * is not taken for one on another model. Why an evaluation failed: dp_slot_failure. */
 #include <stdatomic.h>
+#include <stdio.h>
 #include <stdlib.h>
 
 #include "work.h"
 
 typedef long long Int; /* casadi_int */
-enum { N_SLOTS = 64 };
+enum { N_SLOTS = 64, N_KEY = 65, N_SIZES = 64 };
 enum { STATE, INPUTS, STATES, JAC_X, JAC_U, FEET, JAC_FEET, N_DIMENSIONS }; /* kinds of arguments */
 
 /* ipopt asks for a value and then for a gradient at the same point: the last few rollouts are kept. */
 enum { N_KEPT = 4 };
 
 typedef struct {
-  atomic_int references; /* 0: free, -1: being filled or emptied */
-  double* memory;        /* the model's arrays, kept rollouts */
-  double* kept;          /* N_KEPT of (x0, u, x); NULL for single steps */
+  int references; /* 0: free; changed under the lock */
+  double* memory; /* the model's arrays, kept rollouts */
+  double* kept;   /* N_KEPT of (x0, u, x); NULL for single steps */
   int n_kept, oldest;
   atomic_flag busy; /* guards the kept rollouts; who finds it set does without them */
+  atomic_int failure, told; /* DP_SLOT_*: of the last evaluation that failed; bits: said already */
+  char key[N_KEY], sizes[N_SIZES];
   dp_model model;
-  int steps, nu, nx, n_feet;
+  int steps, nu, nx, nq, n_feet;
   Int dense[N_DIMENSIONS][3]; /* rows, columns, 1: CasADi's short form of a dense pattern */
 } Slot;
 static Slot slots[N_SLOTS];
+static atomic_flag table = ATOMIC_FLAG_INIT;
+
+static void lock(void) {
+  while (atomic_flag_test_and_set(&table)) {}
+}
+static void unlock(void) { atomic_flag_clear(&table); }
 
 /* Copy n doubles to *to and move it on; NULL stays NULL. */
 static const double* keep(double** to, const double* from, size_t n) {
@@ -39,48 +50,116 @@ static const double* keep(double** to, const double* from, size_t n) {
   return copy;
 }
 
-int dp_slot_open(const dp_model* m, int steps) {
-  Parts p;
-  if (steps < 1 || parts_view(&p, m)) return -2;
-  for (int i = 0; i < N_SLOTS; i++) {
-    Slot* s = slots + i;
-    int unused = 0;
-    if (!atomic_compare_exchange_strong(&s->references, &unused, -1)) continue;
-    const size_t nu = p.nu, nx = 13 + 3 * (size_t)p.body.r, kept = steps > 1 ? nx + (nu + nx) * steps : 0;
-    const size_t body = (size_t)m->body[2], terrain = m->terrain ? (size_t)m->terrain[0] : 0;
-    const size_t feet = m->feet ? (size_t)m->feet[0] : 0;
-    double* to = s->memory = malloc((body + terrain + feet + DP_N_PAR + N_KEPT * kept) * sizeof(double));
-    if (!s->memory) {
-      atomic_store(&s->references, 0);
-      return -3;
-    }
-    s->model.body = keep(&to, m->body, body), s->model.par = keep(&to, m->par, DP_N_PAR);
-    s->model.terrain = keep(&to, m->terrain, terrain), s->model.feet = keep(&to, m->feet, feet);
-    s->kept = kept ? to : NULL, s->n_kept = s->oldest = 0;
-    atomic_flag_clear(&s->busy);
-    s->steps = steps, s->nu = p.nu, s->nx = (int)nx, s->n_feet = p.feet.n;
-    const Int sizes[N_DIMENSIONS][2] = {{s->nx, 1}, {s->nu, steps}, {s->nx, steps}, {s->nx, s->nx},
-                                        {s->nx, s->nu}, {3, s->n_feet}, {3 * s->n_feet, s->nx}};
-    for (int d = 0; d < N_DIMENSIONS; d++)
-      s->dense[d][0] = sizes[d][0], s->dense[d][1] = sizes[d][1], s->dense[d][2] = 1;
-    atomic_store(&s->references, 1);
-    return i;
-  }
-  return -1;
+/* Numbers in a state (kernel.h). */
+static int state_size(const Parts* p) { return 13 + 3 * p->body.r; }
+
+/* Fill a free slot; 0, or -3 without memory. */
+static int fill(Slot* s, const dp_model* m, const Parts* p, int steps, const char* key) {
+  const size_t nu = p->nu, nq = 7 + (size_t)p->body.r, nx = state_size(p);
+  const size_t kept = steps > 1 ? nx + (nu + nx) * steps : 0, body = (size_t)m->body[2];
+  const size_t terrain = m->terrain ? (size_t)m->terrain[0] : 0, feet = m->feet ? (size_t)m->feet[0] : 0;
+  double* to = s->memory = malloc((body + terrain + feet + DP_N_PAR + N_KEPT * kept) * sizeof(double));
+  if (!to) return -3;
+  s->model.body = keep(&to, m->body, body), s->model.par = keep(&to, m->par, DP_N_PAR);
+  s->model.terrain = keep(&to, m->terrain, terrain), s->model.feet = keep(&to, m->feet, feet);
+  s->kept = kept ? to : NULL, s->n_kept = s->oldest = 0;
+  atomic_flag_clear(&s->busy);
+  atomic_store(&s->failure, 0), atomic_store(&s->told, 0);
+  s->steps = steps, s->nu = p->nu, s->nx = (int)nx, s->nq = (int)nq, s->n_feet = p->feet.n;
+  snprintf(s->key, N_KEY, "%s", key);
+  snprintf(s->sizes, N_SIZES, "%d %d %d %d", steps, s->nx, s->nu, s->n_feet);
+  const Int sizes[N_DIMENSIONS][2] = {{s->nx, 1}, {s->nu, steps}, {s->nx, steps}, {s->nx, s->nx},
+                                      {s->nx, s->nu}, {3, s->n_feet}, {3 * s->n_feet, s->nx}};
+  for (int d = 0; d < N_DIMENSIONS; d++)
+    s->dense[d][0] = sizes[d][0], s->dense[d][1] = sizes[d][1], s->dense[d][2] = 1;
+  return 0;
 }
 
-static void retain(Slot* s) { atomic_fetch_add(&s->references, 1); }
+int dp_slot_open(const dp_model* m, int steps, const char* key, int share) {
+  Parts p;
+  if (steps < 1 || !key || parts_view(&p, m)) return -2;
+  int found = -1;
+  lock();
+  for (int i = 0; i < N_SLOTS && share && found < 0; i++)
+    if (slots[i].memory && slots[i].steps == steps && !strcmp(slots[i].key, key)) found = i;
+  if (found >= 0) slots[found].references++;
+  for (int i = 0; i < N_SLOTS && found == -1; i++) {
+    if (slots[i].references) continue;
+    const int wrong = fill(slots + i, m, &p, steps, key);
+    if (!wrong) slots[i].references = 1;
+    found = wrong ? wrong : i;
+  }
+  unlock();
+  return found;
+}
+
+static void retain(Slot* s) {
+  lock();
+  s->references++;
+  unlock();
+}
 
 static void release(Slot* s) {
-  int count = atomic_load(&s->references);
-  while (!atomic_compare_exchange_weak(&s->references, &count, count == 1 ? -1 : count - 1)) {}
-  if (count != 1) return;
-  free(s->memory);
-  atomic_store(&s->references, 0);
+  lock();
+  if (s->references > 0 && --s->references == 0) free(s->memory), s->memory = NULL;
+  unlock();
 }
 
 void dp_slot_close(int slot) {
   if (slot >= 0 && slot < N_SLOTS) release(slots + slot);
+}
+
+void dp_slot_sizes(int slot, char sizes[DP_SLOT_SIZES]) {
+  lock();
+  snprintf(sizes, DP_SLOT_SIZES, "%s", slot >= 0 && slot < N_SLOTS && slots[slot].memory ? slots[slot].sizes : "");
+  unlock();
+}
+
+int dp_slot_failure(int slot) {
+  return slot >= 0 && slot < N_SLOTS ? atomic_exchange(&slots[slot].failure, 0) : 0;
+}
+
+/* CasADi is about to make a function, new (with the model that it names) or of a file; without
+ * arguments it makes the derivative of one that it has. Nonzero: it does not, and takes back a
+ * reference that it has not counted. */
+static int configure(int slot, const char* name, int argc, const char** argv) {
+  Slot* s = slots + slot;
+  lock();
+  const int there = s->memory != NULL;
+  const int right = there && (argc == 1 || (argc == 3 && !strcmp(argv[1], s->key) && !strcmp(argv[2], s->sizes)));
+  if (!right) s->references++;
+  unlock();
+  if (!right)
+    fprintf(stderr,
+            "defplan: the saved function %s is of the model %.12s, but its slot %s: load it by"
+            " defplan_mj.dynamics.external.load_function\n",
+            name, argc > 1 ? argv[1] : "(unknown)", there ? "holds another one here" : "is empty here");
+  return !right;
+}
+
+/* Note why an evaluation failed, say it once, and return CasADi's flag. */
+static int fail(Slot* s, const char* name, int why) {
+  static const char* const REASONS[] = {"", "a state or an input is not finite",
+                                        "a quaternion has no direction: its length is 0 or huge",
+                                        "a step was not solved",
+                                        "there is no derivative here: a step's matrix is singular"};
+  atomic_store(&s->failure, why);
+  if (!(atomic_fetch_or(&s->told, 1 << why) & 1 << why))
+    fprintf(stderr, "defplan: the evaluation of %s failed: %s (said once)\n", name, REASONS[why]);
+  return 1;
+}
+
+static int finite(const double* a, size_t n) {
+  int wrong = 0;
+  for (size_t i = 0; a && i < n; i++) wrong += !isfinite(a[i]);
+  return !wrong;
+}
+
+/* 0, or why a state and its inputs cannot be stepped from. */
+static int wrong_arguments(const double* x, size_t nx, const double* u, size_t nu) {
+  if (!finite(x, nx) || !finite(u, nu)) return DP_SLOT_NOT_FINITE;
+  const double size = x ? sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5] + x[6] * x[6]) : 0;
+  return size > 1e-6 && size < 1e6 ? 0 : DP_SLOT_QUATERNION;
 }
 
 /* What CasADi asks about a function: names and dimensions of inputs and outputs. */
@@ -136,17 +215,19 @@ static const double* find(const Slot* s, const double* w, const double* u) {
   return NULL;
 }
 
-static int evaluate(Slot* s, const double** arg, double** res, double* w) {
+static int evaluate(Slot* s, const char* name, const double** arg, double** res, double* w) {
   const size_t nx = s->nx, nu = (size_t)s->steps * s->nu, n = nx * s->steps;
   const double* u = shapes(s, arg, w);
   read(arg[0], nx, w);
+  const int wrong = wrong_arguments(w, nx, u, nu);
+  if (wrong) return fail(s, name, wrong);
   if (s->kept && !atomic_flag_test_and_set(&s->busy)) {
     const double* x = find(s, w, u);
     if (x) write(x, n, res[0]);
     atomic_flag_clear(&s->busy);
     if (x) return 0;
   }
-  if (dp_rollout(&s->model, s->steps, u, w, NULL)) return 1;
+  if (dp_rollout(&s->model, s->steps, u, w, NULL)) return fail(s, name, DP_SLOT_UNSOLVED);
   if (s->kept && !atomic_flag_test_and_set(&s->busy)) {
     double* kept = s->kept + s->oldest * (nx + nu + n);
     write(w, nx, kept), write(u, nu, kept + nx), write(w + nx, n, kept + nx + nu);
@@ -157,21 +238,27 @@ static int evaluate(Slot* s, const double** arg, double** res, double* w) {
   return 0;
 }
 
-static int adjoint(const Slot* s, const double** arg, double** res, double* w) {
+static int adjoint(Slot* s, const char* name, const double** arg, double** res, double* w) {
   const size_t n = (size_t)s->steps * s->nx, nu = (size_t)s->steps * s->nu;
   double *x = w, *g = x + states_size(s), *gu = g + states_size(s) + nu;
   read(arg[0], s->nx, x), read(arg[2], n, x + s->nx);
   read(NULL, s->nx, g), read(arg[3], n, g + s->nx);
-  if (dp_rollout_adj(&s->model, s->steps, shapes(s, arg, w), x, g, gu)) return 1;
+  const double* u = shapes(s, arg, w);
+  const int wrong = wrong_arguments(x, s->nx, u, nu);
+  if (wrong || !finite(x, n + s->nx) || !finite(g, n + s->nx)) return fail(s, name, wrong ? wrong : DP_SLOT_NOT_FINITE);
+  if (dp_rollout_adj(&s->model, s->steps, u, x, g, gu)) return fail(s, name, DP_SLOT_SINGULAR);
   write(g, s->nx, res[0]), write(gu, nu, res[1]);
   return 0;
 }
 
-static int jacobian(const Slot* s, const double** arg, double** res, double* w) {
+static int jacobian(Slot* s, const char* name, const double** arg, double** res, double* w) {
   const int nx = s->nx, nu = s->nu;
   double *x = w, *x_next = w + nx, *A = w + 2 * states_size(s) + 2 * (size_t)s->steps * nu, *B = A + nx * nx;
   read(arg[0], nx, x), read(arg[2], nx, x_next);
-  if (dp_step_jac(&s->model, x, shapes(s, arg, w), x_next, A, B)) return 1;
+  const double* u = shapes(s, arg, w);
+  const int wrong = wrong_arguments(x, nx, u, nu);
+  if (wrong || !finite(x_next, nx)) return fail(s, name, wrong ? wrong : DP_SLOT_NOT_FINITE);
+  if (dp_step_jac(&s->model, x, u, x_next, A, B)) return fail(s, name, DP_SLOT_SINGULAR);
   for (int i = 0; i < nx; i++) { /* to column-major */
     for (int j = 0; res[0] && j < nx; j++) res[0][j * nx + i] = A[i * nx + j];
     for (int j = 0; res[1] && j < nu; j++) res[1][j * nx + i] = B[i * nu + j];
@@ -179,17 +266,21 @@ static int jacobian(const Slot* s, const double** arg, double** res, double* w) 
   return 0;
 }
 
-static int feet_at(const Slot* s, const double** arg, double** res, double* w) {
+static int feet_at(Slot* s, const char* name, const double** arg, double** res, double* w) {
   read(arg[0], s->nx, w);
+  const int wrong = wrong_arguments(w, s->nx, NULL, 0);
+  if (wrong) return fail(s, name, wrong);
   if (res[0]) dp_feet(&s->model, w, res[0], NULL);
   return 0;
 }
 
-static int feet_jacobian(const Slot* s, const double** arg, double** res, double* w) {
-  const int n = 3 * s->n_feet, nq = 7 + (s->nx - 13) / 3;
+static int feet_jacobian(Slot* s, const char* name, const double** arg, double** res, double* w) {
+  const int n = 3 * s->n_feet, nq = s->nq;
   double points[3 * DP_MAX_FEET], *jacobian = w + s->nx;
   if (!res[0]) return 0;
   read(arg[0], s->nx, w);
+  const int wrong = wrong_arguments(w, s->nx, NULL, 0);
+  if (wrong) return fail(s, name, wrong);
   dp_feet(&s->model, w, points, jacobian);
   for (int i = 0; i < n; i++) /* to column-major; positions do not depend on velocities */
     for (int j = 0; j < s->nx; j++) res[0][j * n + i] = j < nq ? jacobian[i * nq + j] : 0;
@@ -206,24 +297,20 @@ static int feet_jacobian(const Slot* s, const double** arg, double** res, double
   DP_API int name##_work(Int* a, Int* r, Int* i, Int* w) { return work(slots + s, a, r, i, w); }  \
   DP_API void name##_incref(void) { retain(slots + s); }                                          \
   DP_API void name##_decref(void) { release(slots + s); }                                         \
+  DP_API int name##_config(int argc, const char** argv) { return configure(s, #name, argc, argv); } \
   DP_API int name(const double** arg, double** res, Int* iw, double* w, int mem) {                \
     (void)iw, (void)mem;                                                                          \
-    return call(slots + s, arg, res, w);                                                          \
+    return call(slots + s, #name, arg, res, w);                                                   \
   }
-#define SLOT(s)                                                 \
-  FUNCTION(defplan_step_##s, s, STEP, evaluate)                 \
-  FUNCTION(jac_defplan_step_##s, s, STEP_JAC, jacobian)         \
-  FUNCTION(adj1_defplan_step_##s, s, STEP_ADJ, adjoint)         \
-  FUNCTION(defplan_rollout_##s, s, ROLLOUT, evaluate)           \
-  FUNCTION(adj1_defplan_rollout_##s, s, ROLLOUT_ADJ, adjoint)   \
-  FUNCTION(defplan_feet_##s, s, FEET_AT, feet_at)               \
-  FUNCTION(jac_defplan_feet_##s, s, FEET_JAC, feet_jacobian)
-#define EIGHT(a, b, c, d, e, f, g, h) SLOT(a) SLOT(b) SLOT(c) SLOT(d) SLOT(e) SLOT(f) SLOT(g) SLOT(h)
-EIGHT(0, 1, 2, 3, 4, 5, 6, 7)
-EIGHT(8, 9, 10, 11, 12, 13, 14, 15)
-EIGHT(16, 17, 18, 19, 20, 21, 22, 23)
-EIGHT(24, 25, 26, 27, 28, 29, 30, 31)
-EIGHT(32, 33, 34, 35, 36, 37, 38, 39)
-EIGHT(40, 41, 42, 43, 44, 45, 46, 47)
-EIGHT(48, 49, 50, 51, 52, 53, 54, 55)
-EIGHT(56, 57, 58, 59, 60, 61, 62, 63)
+#define SLOT(d, n)                                                  \
+  FUNCTION(defplan_step_##d##n, 10 * d + n, STEP, evaluate)         \
+  FUNCTION(jac_defplan_step_##d##n, 10 * d + n, STEP_JAC, jacobian) \
+  FUNCTION(adj1_defplan_step_##d##n, 10 * d + n, STEP_ADJ, adjoint) \
+  FUNCTION(defplan_rollout_##d##n, 10 * d + n, ROLLOUT, evaluate)   \
+  FUNCTION(adj1_defplan_rollout_##d##n, 10 * d + n, ROLLOUT_ADJ, adjoint) \
+  FUNCTION(defplan_feet_##d##n, 10 * d + n, FEET_AT, feet_at)       \
+  FUNCTION(jac_defplan_feet_##d##n, 10 * d + n, FEET_JAC, feet_jacobian)
+#define TEN(d) \
+  SLOT(d, 0) SLOT(d, 1) SLOT(d, 2) SLOT(d, 3) SLOT(d, 4) SLOT(d, 5) SLOT(d, 6) SLOT(d, 7) SLOT(d, 8) SLOT(d, 9)
+/* names have two digits: one can stand for another in a file (external.py) */
+TEN(0) TEN(1) TEN(2) TEN(3) TEN(4) TEN(5) SLOT(6, 0) SLOT(6, 1) SLOT(6, 2) SLOT(6, 3)

@@ -63,6 +63,10 @@ typedef struct {
   double residual; /* size of the last Newton step */
 } dp_info;
 
+/* "" or the first instruction set that the library was compiled to use and this machine lacks: to be
+ * asked before anything else is called. */
+DP_API const char* dp_missing_instructions(void);
+
 /* 0 if blob holds a body of this version in n doubles, else a negative code. */
 DP_API int dp_check(const double* blob, size_t n);
 /* 0 if terrain (not NULL) holds one in n doubles; feet for this body likewise. */
@@ -118,10 +122,17 @@ DP_API double dp_clearance(const double* blob, const double* qpos, int n_geom, c
 /* Signed distance of one point to one geom, and its outward gradient (normal, may be NULL). */
 DP_API double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]);
 
-/* CasADi (casadi.c) can pass numbers only: a slot holds a copy of a model for its
- * functions defplan_step_<slot> (steps = 1), defplan_rollout_<slot> and, with feet,
- * defplan_feet_<slot>. Returns the slot, -1 if all are taken, -2 if the model or steps is wrong, -3 if there is no memory. Close it once the functions
- * are made: it lives as long as they do. */
-DP_API int dp_slot_open(const dp_model* m, int steps);
+/* CasADi (casadi.c) can pass numbers only: a slot holds a copy of a model for its functions
+ * defplan_step_<ss> (steps = 1), defplan_rollout_<ss> and, with feet, defplan_feet_<ss>, ss being the
+ * slot in two digits. `key` (at most 64 characters) names the model; with `share` a slot of the same key
+ * and steps is taken once more. Returns the slot, -1 if all are taken, -2 if the model or steps is wrong,
+ * -3 if there is no memory. Close it once the functions are made: it lives as long as they do. */
+DP_API int dp_slot_open(const dp_model* m, int steps, const char* key, int share);
 DP_API void dp_slot_close(int slot);
+/* The second of a function's config_args (the first is the key): what its sizes are. */
+enum { DP_SLOT_SIZES = 64 };
+DP_API void dp_slot_sizes(int slot, char sizes[DP_SLOT_SIZES]);
+/* Why the last evaluation on the slot that failed did, 0 if none did since it was asked last. */
+enum { DP_SLOT_NOT_FINITE = 1, DP_SLOT_QUATERNION, DP_SLOT_UNSOLVED, DP_SLOT_SINGULAR };
+DP_API int dp_slot_failure(int slot);
 #endif

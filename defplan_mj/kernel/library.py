@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from ctypes import c_double, c_int, c_long, c_size_t, c_void_p
+import os
+import platform
+from ctypes import c_char_p, c_double, c_int, c_long, c_size_t, c_void_p
 from functools import cache
 from pathlib import Path
 
@@ -11,7 +13,17 @@ import numpy as np
 
 from defplan_mj.errors import DefplanError
 
-PATH = Path(__file__).with_name("libdefplan_kernel.so")
+# Where libraries lie that were built elsewhere: those of `make sanitize`.
+FOLDER = os.environ.get("DEFPLAN_LIBRARIES", "")
+
+
+def library_path(package: str, name: str) -> Path:
+    """Return where the library `name` of defplan_mj/`package` is."""
+    root = Path(FOLDER).resolve() / "defplan_mj" if FOLDER else Path(__file__).parents[1]
+    return root / package / name
+
+
+PATH = library_path("kernel", "libdefplan_kernel.so")
 
 
 class Info(ctypes.Structure):
@@ -57,12 +69,25 @@ _array = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
 _pointer = ctypes.POINTER
 
 
+def check_machine(lib: ctypes.CDLL) -> None:
+    """Raise DefplanError if this machine lacks instructions that the library was compiled to use.
+
+    Only the function that is called here runs on any machine (kernel/machine.c).
+    """
+    lib.dp_missing_instructions.restype = c_char_p
+    if missing := lib.dp_missing_instructions().decode():
+        raise DefplanError(
+            f"this machine ({platform.processor() or platform.machine()}) has no {missing.upper()}"
+            " instructions, which defplan was compiled with: build it here with DEFPLAN_MARCH=native"
+        )
+
+
 @cache
 def kernel() -> ctypes.CDLL:
     """Return the kernel's library.
 
     Raises:
-        DefplanError: it was not built.
+        DefplanError: it was not built, or for another kind of machine.
     """
     try:
         lib = ctypes.CDLL(str(PATH))
@@ -70,6 +95,7 @@ def kernel() -> ctypes.CDLL:
         raise DefplanError(
             f"the compiled kernel {PATH} is missing: reinstall defplan with a C compiler"
         ) from error
+    check_machine(lib)
     a, p = _array, _pointer
     m = p(Model)
     signatures = {
@@ -90,8 +116,10 @@ def kernel() -> ctypes.CDLL:
         "dp_surface": (None, [a, a, a]),
         "dp_clearance": (c_double, [a, a, c_int, p(Geom), c_double, p(c_int), p(c_int)]),
         "dp_geom_distance": (c_double, [p(Geom), a, a]),
-        "dp_slot_open": (c_int, [m, c_int]),
+        "dp_slot_open": (c_int, [m, c_int, c_char_p, c_int]),
         "dp_slot_close": (None, [c_int]),
+        "dp_slot_sizes": (None, [c_int, c_char_p]),
+        "dp_slot_failure": (c_int, [c_int]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(lib, name)

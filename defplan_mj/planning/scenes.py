@@ -343,3 +343,23 @@ def _check(episodes: int, obstacles: int, speed: float) -> None:
         raise DefplanError(f"the number of obstacles must be 0 or more, not {obstacles}")
     if not (np.isfinite(speed) and speed >= 0):
         raise DefplanError(f"the obstacle speed must be 0 m/s or more, not {speed}")
+
+
+@dataclass(frozen=True)
+class NovelScenes:
+    """Draws the scene of an episode: a sampler that pickles, so that an environment does.
+
+    Attributes:
+        navigation: the problem.
+        obstacles: on the way to the target; None: navigation.novel_obstacles.
+        speed: of the obstacles, m/s.
+    """
+
+    navigation: Navigation
+    obstacles: int | None = None
+    speed: float = 0.0
+
+    def __call__(self, random: np.random.RandomState) -> Scene:
+        """Return a novel scene."""
+        seed = int(random.randint(2**31))
+        return novel_scenes(self.navigation, 1, seed, self.obstacles, self.speed)[0]
