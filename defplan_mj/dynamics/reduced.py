@@ -15,7 +15,7 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.kernel.library import Info, Model, kernel
 from defplan_mj.kernel.pack import pack_body, pack_options, stepping_of
 
-_CALM_STEPS, _CALM_TIMESTEP = 1000, 0.2  # to settle on the terrain; s
+_CALM_STEPS, _CALM_TIMESTEP = 4000, 0.2  # to settle on the terrain; s
 
 
 @dataclass(frozen=True)

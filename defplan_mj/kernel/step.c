@@ -100,9 +100,9 @@ static int solve_substep(Solver* s, int first, const Pose* x0, const Pose* x1, d
 }
 
 static int is_finite(const double* a, int n) {
-  double s = 0;
-  for (int i = 0; i < n; i++) s += 0 * a[i]; /* NaN if one is not finite */
-  return s == 0;
+  int all = 1;
+  for (int i = 0; i < n; i++) all &= isfinite(a[i]) != 0;
+  return all;
 }
 
 
