@@ -177,7 +177,8 @@ def robustness(arguments: argparse.Namespace, console: Console) -> int:
 def check(arguments: argparse.Namespace, console: Console) -> int:
     """Play a task's gaits with finer steps and through the full FEM, and say what changes."""
     from defplan_mj import registry
-    from defplan_mj.check import check_gaits, of_run, shipped
+    from defplan_mj.check import CHECK_FILE, check_gaits, of_run, shipped
+    from defplan_mj.run import write_json
 
     spec = registry.get_task(arguments.task)
     body, gait = shipped(spec) if arguments.run is None else of_run(arguments.run)
@@ -185,6 +186,8 @@ def check(arguments: argparse.Namespace, console: Console) -> int:
         data = check_gaits(
             spec, body, gait, arguments.full, arguments.cycles, arguments.seed, progress
         )
+    if arguments.run is not None:
+        write_json(arguments.run / CHECK_FILE, data)
     console.result(data, check_text(data))
     return 0
 

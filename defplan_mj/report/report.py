@@ -8,6 +8,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from defplan_mj import files
+from defplan_mj.report.check_section import check_section
 from defplan_mj.report.content import Code, Fact, Missing, Section, Table, Text, duration, percent
 from defplan_mj.report.material import Material, gather
 from defplan_mj.report.planning_sections import (
@@ -33,6 +34,7 @@ REPORT_FILE = "report.html"
 SECTIONS: tuple[Callable[[Material], Section], ...] = (
     body_section,
     gait_section,
+    check_section,
     surrogate_section,
     training_section,
     success_section,
