@@ -103,16 +103,21 @@ def random_state(
     speed: float = 1.0,
     vibration: float = 3.0,
 ) -> np.ndarray:
-    """Return a state at any place and attitude; `spin` rad/s, `speed` m/s, `vibration` 1/s."""
+    """Return a state at any place and attitude; `spin` rad/s, `speed` m/s, `vibration` 1/s.
+
+    Its last target shape is near its shape, as after a motion.
+    """
     r, amplitude = dynamics.body.n_modes, dynamics.body.amplitude
+    shape = rng.uniform(-amplitude, amplitude)
     return np.concatenate(
         [
-            *(3 * rng.normal(size=3), random_quaternion(rng), rng.uniform(-amplitude, amplitude)),
+            *(3 * rng.normal(size=3), random_quaternion(rng), shape),
             *(
                 speed * rng.normal(size=3),
                 spin * rng.normal(size=3),
                 vibration * rng.normal(size=r),
             ),
+            shape + 0.2 * rng.normal(size=r),
         ]
     )
 
