@@ -130,7 +130,7 @@ static int solve_nodes(Solver* s, const double* x, const double* u, const double
   const int r = p->body.r;
   const double* last = x + 13 + 2 * r;
   s->origin = x;
-  for (int division = 1; division <= most; division *= 2) {
+  for (int division = 1; division <= most;) {
     const int n = p->substeps * division;
     const double h = substep(p, division);
     Pose guess[2];
@@ -150,6 +150,8 @@ static int solve_nodes(Solver* s, const double* x, const double* u, const double
     }
     info->division = division;
     if (k == n) return division;
+    if (near) near = NULL; /* a bad guess: once more as without one */
+    else division *= 2;
   }
   return 0;
 }
