@@ -127,7 +127,7 @@ def place(
 ) -> None:
     """Put the robot somewhere, at rest."""
     with physics.reset_context():
-        state = np.zeros(13 + 2 * physics.n_modes)
+        state = np.zeros(13 + 3 * physics.n_modes)
         state[:3], state[3:7] = position, np.array(quaternion) / np.linalg.norm(quaternion)
         if q is not None:
             state[7 : 7 + physics.n_modes] = q

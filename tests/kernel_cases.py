@@ -103,16 +103,21 @@ def random_state(
     speed: float = 1.0,
     vibration: float = 3.0,
 ) -> np.ndarray:
-    """Return a state at any place and attitude; `spin` rad/s, `speed` m/s, `vibration` 1/s."""
+    """Return a state at any place and attitude; `spin` rad/s, `speed` m/s, `vibration` 1/s.
+
+    Its last target shape is near its shape, as after a motion.
+    """
     r, amplitude = dynamics.body.n_modes, dynamics.body.amplitude
+    shape = rng.uniform(-amplitude, amplitude)
     return np.concatenate(
         [
-            *(3 * rng.normal(size=3), random_quaternion(rng), rng.uniform(-amplitude, amplitude)),
+            *(3 * rng.normal(size=3), random_quaternion(rng), shape),
             *(
                 speed * rng.normal(size=3),
                 spin * rng.normal(size=3),
                 vibration * rng.normal(size=r),
             ),
+            shape + 0.2 * rng.normal(size=r),
         ]
     )
 
@@ -133,3 +138,36 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the quaternion product a b."""
     w = a[0] * b[0] - a[1:] @ b[1:]
     return np.concatenate([[w], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])])
+
+
+_MIRROR = np.array([1.0, -1.0, 1.0])  # y -> -y
+_AXIAL = -_MIRROR  # of rotation vectors
+
+
+def mirrored_body(body: Body) -> Body:
+    """Return the mirror image of a body; the same q is its mirrored shape."""
+    # skew vectors are axial; strain 11, 12, 13, 22, 23, 33; F - I row-major
+    features = np.concatenate([_AXIAL, [1.0, -1.0, 1.0, 1.0, -1.0, 1.0]])
+    gradients = np.tile(np.outer(_MIRROR, _MIRROR).ravel(), len(body.feature_map))
+    flip = _MIRROR[:, None]
+    return replace(
+        body,
+        vertices=body.vertices * _MIRROR,
+        modes=body.modes * flip,
+        basis=body.basis * flip,
+        feature_map=body.feature_map * features[:, None],
+        feature_weights=body.feature_weights * gradients,
+        moments=body.moments * np.outer(_MIRROR, _MIRROR),
+        drag_points=body.drag_points * flip,
+        drag_tangents=body.drag_tangents[::-1] * flip,  # in the other order: the area is axial
+    )
+
+
+def mirrored_state(x: np.ndarray, r: int) -> np.ndarray:
+    """Return the mirror image of a state."""
+    out = x.copy()
+    out[:3] *= _MIRROR
+    out[4:7] *= _AXIAL
+    out[7 + r : 10 + r] *= _MIRROR
+    out[10 + r : 13 + r] *= _AXIAL
+    return out

@@ -207,7 +207,13 @@ def record_episode(
     kept["states"].append(x)
     with Recorder(path, files, surface_of(files.body), contacts) as recorder:
         context = {"task": "bar-swim", "seed": 3, "planner": "greedy", "shield": True}
-        context |= {"timestep": TIMESTEP, "state": x, "episode": 4}
+        context |= {
+            "timestep": TIMESTEP,
+            "substeps": 2,
+            "integrator": "variational",
+            "state": x,
+            "episode": 4,
+        }
         context |= {"navigation": {"laser_range": 8.0}}
         recorder.begin(context, scene)
         step = 0
@@ -314,7 +320,14 @@ def record_swim(
             physics.time(), physics.reduced_state(), shape, physics.clearance()
         )
         timestep = env.reset()
-        context = {"task": "pebble-swim", "seed": 5, "timestep": TIMESTEP, "navigation": navigation}
+        context = {
+            "task": "pebble-swim",
+            "seed": 5,
+            "timestep": TIMESTEP,
+            "substeps": 2,
+            "integrator": "variational",
+            "navigation": navigation,
+        }
         context["feedback"] = "none" if feedback is None else feedback.name
         recorder.begin({**context, "state": env.physics.reduced_state()}, scene)
         for cycle in range(cycles):

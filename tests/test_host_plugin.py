@@ -56,7 +56,7 @@ def test_steps_equal_the_python_face_to_the_bit(model, controls):
         data.ctrl[:] = control
         mujoco.mj_step(model, data)
         x = dynamics.step(x, samples.fish().amplitude * control)
-        assert np.array_equal(np.concatenate([data.qpos, data.qvel]), x)
+        assert np.array_equal(np.concatenate([data.qpos, data.qvel, data.act]), x)
     assert np.linalg.norm(x[:3]) > 1e-3  # it did move
 
 
@@ -67,7 +67,7 @@ def test_raw_controls_are_the_target_shape_itself(controls):
     shapes = 0.77 * controls[:30]
     states = dynamics.rollout(dynamics.rest_state(), shapes)
     _run(raw, data, shapes)
-    assert np.array_equal(np.concatenate([data.qpos, data.qvel]), states[-1])
+    assert np.array_equal(np.concatenate([data.qpos, data.qvel, data.act]), states[-1])
 
 
 def test_controls_are_clipped_to_their_range(model):

@@ -23,6 +23,10 @@ SIZES = [  # modes, basis, samples, patches: below, at and above the kernel's bl
     (9, 16, 9, 17),
     (3, 7, 16, 0),
 ]
+STEPPINGS = [
+    *(("variational", substeps) for substeps in (1, 2, 3)),
+    *(("implicit-euler", substeps) for substeps in (1, 2)),
+]
 
 
 @pytest.fixture(scope="module")
@@ -55,23 +59,40 @@ def assert_close(value: np.ndarray, truth: np.ndarray, tolerance: float) -> None
     assert (np.abs(value - truth) / scale).max() <= tolerance
 
 
+def assert_equal_twin(dynamics: ReducedDynamics, twin: CasadiTwin, x, u, tolerance=1e-10) -> None:
+    x_next, info = dynamics.step_info(x, u)
+    assert not info.failed
+    truth = twin.refine(x, u, x_next, info.division)
+    np.testing.assert_allclose(x_next, truth, rtol=tolerance, atol=tolerance * np.abs(truth).max())
+    for value, wanted in zip(
+        dynamics.step_jacobian(x, u, x_next),
+        twin.jacobians(x, u, x_next, info.division),
+        strict=True,
+    ):
+        assert_close(value, wanted, tolerance)
+
+
 KINDS = ["any", "fast spin", "upside down", "quaternion not normalised", "nearly at rest"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_step_and_derivatives_equal_the_symbolic_twin(dynamics, twin, kind):
     rng = np.random.default_rng(KINDS.index(kind))
-    for _ in range(6):
+    for _ in range(2):
         x = unusual_state(dynamics, rng, kind)
         u = rng.uniform(-dynamics.body.amplitude, dynamics.body.amplitude)
-        x_next, info = dynamics.step_info(x, u)
-        assert not info.failed
-        truth = twin.refine(x, u, x_next)
-        np.testing.assert_allclose(x_next, truth, rtol=1e-10, atol=1e-10 * np.abs(truth).max())
-        for value, wanted in zip(
-            dynamics.step_jacobian(x, u, x_next), twin.jacobians(x, u, x_next), strict=True
-        ):
-            assert_close(value, wanted, 1e-10)
+        assert_equal_twin(dynamics, twin, x, u)
+
+
+@pytest.mark.parametrize("stepping", STEPPINGS, ids=lambda s: f"{s[0]}-{s[1]}")
+def test_both_integrators_with_any_substeps_equal_the_symbolic_twin(stepping):
+    rng = np.random.default_rng(11)
+    body = synthetic_body(rng, 3, 7, 5, 6, EVERY_FORCE)
+    dynamics = ReducedDynamics(body, 0.04, substeps=stepping[1], integrator=stepping[0])
+    twin = CasadiTwin(dynamics)
+    for _ in range(4):
+        x, u = random_state(dynamics, rng), rng.uniform(-1, 1, dynamics.nu)
+        assert_equal_twin(dynamics, twin, x, u)
 
 
 @pytest.mark.parametrize("sizes", SIZES, ids=str)
@@ -82,14 +103,55 @@ def test_bodies_of_any_size_equal_the_symbolic_twin(sizes):
     twin = CasadiTwin(dynamics)
     for _ in range(3):
         x, u = random_state(dynamics, rng), rng.uniform(-1, 1, dynamics.nu)
+        assert_equal_twin(dynamics, twin, x, u)
+
+
+def test_a_divided_step_is_one_with_more_substeps_and_equals_the_twin(dynamics, twin):
+    """Fast vibrations and targets that jump: steps without a solution near the free motion."""
+    rng, divisions, compared = np.random.default_rng(12), set(), 0
+    body, h, substeps = dynamics.body, dynamics.timestep, dynamics.substeps
+    for _ in range(100):
+        x = random_state(dynamics, rng, spin=8.0, vibration=25.0)
+        u = rng.choice([-1.0, 1.0], dynamics.nu) * body.amplitude
         x_next, info = dynamics.step_info(x, u)
         assert not info.failed
-        truth = twin.refine(x, u, x_next)
-        np.testing.assert_allclose(x_next, truth, rtol=1e-10, atol=1e-10 * np.abs(truth).max())
-        for value, wanted in zip(
-            dynamics.step_jacobian(x, u, x_next), twin.jacobians(x, u, x_next), strict=True
+        if info.division == 1:
+            continue
+        divisions.add(info.division)
+        finer = ReducedDynamics(body, h, substeps=substeps * info.division)
+        again, whole = finer.step_info(x, u)
+        assert whole.division == 1
+        np.testing.assert_allclose(x_next, again, rtol=1e-12, atol=1e-12)
+        a, b = dynamics.step_jacobian(x, u, x_next)
+        for value, wanted in zip((a, b), finer.step_jacobian(x, u, again), strict=True):
+            assert_close(value, wanted, 1e-9)
+        g = rng.normal(size=dynamics.nx)
+        gx, gu = dynamics.step_adjoint(x, u, x_next, g)
+        np.testing.assert_allclose(gx, a.T @ g, rtol=0, atol=1e-12 * np.abs(a.T @ g).max())
+        np.testing.assert_allclose(gu, b.T @ g, rtol=0, atol=1e-12 * np.abs(b.T @ g).max())
+        if info.division == 2 and compared < 2:
+            assert_equal_twin(dynamics, twin, x, u)
+            compared += 1
+    assert compared == 2 and len(divisions) > 1
+
+
+def test_derivatives_of_a_divided_step_equal_finite_differences(small_fish):
+    dynamics = ReducedDynamics(in_medium(small_fish, EVERY_FORCE), tolerance=1e-10)
+    rng, compared = np.random.default_rng(13), 0
+    while compared < 3:
+        x = random_state(dynamics, rng, vibration=25.0)
+        u = rng.choice([-1.0, 1.0], dynamics.nu) * dynamics.body.amplitude
+        x_next, info = dynamics.step_info(x, u)
+        # differences across a change of the division are none
+        around = [*(x + 1e-4 * rng.normal(size=(20, len(x))))]
+        if info.division == 1 or any(
+            dynamics.step_info(y, u)[1].division != info.division for y in around
         ):
-            assert_close(value, wanted, 1e-10)
+            continue
+        a, b = dynamics.step_jacobian(x, u, x_next)
+        assert_close(a, central_differences(lambda y, u=u: dynamics.step(y, u), x, 1e-5), 1e-6)
+        assert_close(b, central_differences(lambda v, x=x: dynamics.step(x, v), u, 1e-5), 1e-6)
+        compared += 1
 
 
 @pytest.mark.parametrize("medium", [EVERY_FORCE, VACUUM], ids=lambda medium: medium.name)

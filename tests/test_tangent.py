@@ -21,7 +21,7 @@ def dynamics(small_fish: Body) -> ReducedDynamics:
 def test_a_change_that_is_made_is_found_again(dynamics):
     rng = np.random.default_rng(0)
     for _ in range(20):
-        x, z = random_state(dynamics, rng), 0.7 * rng.normal(size=22)
+        x, z = random_state(dynamics, rng), 0.7 * rng.normal(size=27)
         z[3:6] *= 0.5
         np.testing.assert_allclose(
             tangent.difference(tangent.retract(x, z), x), z, rtol=1e-12, atol=1e-12
@@ -43,7 +43,7 @@ def test_the_derivative_of_a_difference_is_that_of_finite_differences(dynamics):
     x, origin = random_state(dynamics, rng), random_state(dynamics, rng)
     got, e = tangent.difference_jacobian(x, origin), 1e-6
     for i in range(3):
-        z = np.zeros(22)
+        z = np.zeros(27)
         z[3 + i] = e
         up, down = (tangent.difference(tangent.retract(x, s * z), origin) for s in (1, -1))
         np.testing.assert_allclose(got[:, i], (up - down)[3:6] / (2 * e), atol=1e-9)
@@ -54,8 +54,8 @@ def test_a_steps_jacobians_are_those_of_finite_differences(dynamics):
     x, u, e = random_state(dynamics, rng), rng.normal(size=5), 1e-5
     y = dynamics.step(x, u)
     a, b = tangent.step_jacobian(x, y, *dynamics.step_jacobian(x, u, y))
-    for i in range(22):
-        z = e * np.eye(22)[i]
+    for i in range(27):
+        z = e * np.eye(27)[i]
         up, down = (dynamics.step(tangent.retract(x, s * z), u) for s in (1, -1))
         wanted = (tangent.difference(up, y) - tangent.difference(down, y)) / (2 * e)
         np.testing.assert_allclose(a[:, i], wanted, rtol=2e-4, atol=2e-4)

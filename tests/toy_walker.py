@@ -15,12 +15,12 @@ HOME = np.array(
 
 
 def toy_walker(timestep: float = 0.03, friction: float = 0.8) -> Walker:
-    """State: position, quaternion, 12 offsets of the feet (body frame, dm), and velocities.
+    """State: position, quaternion, 12 offsets of the feet (body frame, dm), velocities, target.
 
     Offsets follow the target shape by STIFF a step; translation and rotation are semi-implicit.
     """
     r, h = 12, timestep
-    x, u, forces = ca.SX.sym("x", 13 + 2 * r), ca.SX.sym("u", r), ca.SX.sym("f", 3, 4)
+    x, u, forces = ca.SX.sym("x", 13 + 3 * r), ca.SX.sym("u", r), ca.SX.sym("f", 3, 4)
     c, quat, q, v, spin = x[:3], x[3:7], x[7 : 7 + r], x[7 + r : 10 + r], x[10 + r : 13 + r]
     quat = quat / ca.norm_2(quat)
     arms = HOME.T + 0.1 * ca.reshape(q, 3, 4)
@@ -30,9 +30,9 @@ def toy_walker(timestep: float = 0.03, friction: float = 0.8) -> Walker:
     spin = spin + h * (turn.T @ torque) / INERTIA
     turned = quaternion_product(quat, ca.vertcat(1, h * spin / 2))
     q_next = q + STIFF * (u - q)
-    x_next = ca.vertcat(c + h * v, turned / ca.norm_2(turned), q_next, v, spin, (q_next - q) / h)
+    x_next = ca.vertcat(c + h * v, turned / ca.norm_2(turned), q_next, v, spin, (q_next - q) / h, u)
     feet = c + turn @ arms
-    rest = np.zeros(13 + 2 * r)
+    rest = np.zeros(13 + 3 * r)
     rest[2], rest[3] = STAND, 1
     return Walker(
         step=ca.Function("step", [x, u, forces], [x_next], ["x", "u", "forces"], ["x_next"]),

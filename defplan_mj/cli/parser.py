@@ -75,9 +75,7 @@ def build() -> argparse.ArgumentParser:
             "robustness", commands.robustness, "count a task's falls among pushes, slopes and so on"
         )
     )
-    _check(
-        add("check", commands.check, "play a task's gaits with finer steps and in the full FEM")
-    )
+    _check(add("check", commands.check, "play a task's gaits with finer steps and in the full FEM"))
     _bench(add("bench", commands.bench, "time the step, its peers, the surrogate and the laser"))
     _compare(add("compare", logs.compare, "compare the surrogate with the truth, from logs"))
     _replay(add("replay", logs.replay, "simulate a log again, to the bit", True))

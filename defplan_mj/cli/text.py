@@ -116,7 +116,9 @@ def robustness_text(data: dict[str, Any]) -> str:
 
 def check_text(data: dict[str, Any]) -> str:
     """Return a row for each gait: what finer steps and the full FEM change."""
-    kinds = [k for k in ("reduced", "refined", "substeps", "full") if k in data["gaits"][0]["turn_rad"]]
+    kinds = [
+        k for k in ("reduced", "refined", "substeps", "full") if k in data["gaits"][0]["turn_rad"]
+    ]
     rows = []
     for gait in data["gaits"]:
         row = [gait["name"]]

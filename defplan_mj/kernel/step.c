@@ -106,6 +106,21 @@ static int is_finite(const double* a, int n) {
 }
 
 
+/* How far from free motion a substep may end, in q and in rad. The equations of a coarse step have several
+ * solutions; the one that goes on with the motion is near it, so one far from it asks for finer substeps. */
+static const double MAX_DEVIATION = 1.2;
+
+/* Whether x[2] is that far from where the motion from x[0] to x[1] would have gone by itself. */
+static int strays(int r, const Pose* x) {
+  double back[4] = {x[0].quat[0], -x[0].quat[1], -x[0].quat[2], -x[0].quat[3]}, turn[4], free[4], dq[4], w[3];
+  quat_mul(x[1].quat, back, turn), quat_mul(turn, x[1].quat, free);
+  free[1] = -free[1], free[2] = -free[2], free[3] = -free[3];
+  quat_mul(x[2].quat, free, dq), quat_log(dq, w);
+  double most = sqrt(dot3(w, w));
+  for (int c = 0; c < r; c++) most = fmax(most, fabs(x[2].q[c] - 2 * x[1].q[c] + x[0].q[c]));
+  return !(most < MAX_DEVIATION);
+}
+
 /* A step's nodes: nodes[0] is before x, nodes[1] is x, then one a substep. Returns the number of parts
  * that substeps were divided into, 0 if there is no solution. `near` (NULL: none): a state near the
  * solution. `nodes` holds 2 + substeps * most. */
@@ -115,7 +130,7 @@ static int solve_nodes(Solver* s, const double* x, const double* u, const double
   const int r = p->body.r;
   const double* last = x + 13 + 2 * r;
   s->origin = x;
-  for (int division = 1; division <= most; division *= 2) {
+  for (int division = 1; division <= most;) {
     const int n = p->substeps * division;
     const double h = substep(p, division);
     Pose guess[2];
@@ -131,9 +146,12 @@ static int solve_nodes(Solver* s, const double* x, const double* u, const double
       int done = solve_substep(s, k == 0, nodes + k, nodes + k + 1, h, from, nodes + k + 2, info);
       const Pose* to = nodes + k + 2;
       if (!done || !is_finite(to->c, 3) || !is_finite(to->quat, 4) || !is_finite(to->q, r)) break;
+      if (!p->euler && 2 * division <= DP_MAX_DIVISION && strays(r, nodes + k)) break;
     }
     info->division = division;
     if (k == n) return division;
+    if (near) near = NULL; /* a bad guess: once more as without one */
+    else division *= 2;
   }
   return 0;
 }
