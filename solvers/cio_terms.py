@@ -52,9 +52,7 @@ class Weights:
 
 def state_scale(walker: Walker) -> np.ndarray:
     """Return what makes the tangent of a state (nx - 1,) metres: velocities count for a step."""
-    scale = np.concatenate(
-        [np.ones(3), _TURN * np.ones(3), _SHAPE * np.ones(walker.nu)]
-    )
+    scale = np.concatenate([np.ones(3), _TURN * np.ones(3), _SHAPE * np.ones(walker.nu)])
     return np.concatenate([scale, walker.timestep * scale, _SHAPE * np.ones(walker.nu)])
 
 

@@ -59,9 +59,7 @@ class Physics(engine.Physics):
     def reduced_state(self) -> np.ndarray:
         """Return a copy of the state (13 + 3r,) as kernel.h lays it out."""
         r = self.n_modes
-        return np.concatenate(
-            [self.data.qpos[: 7 + r], self.data.qvel[: 6 + r], self.data.act[:r]]
-        )
+        return np.concatenate([self.data.qpos[: 7 + r], self.data.qvel[: 6 + r], self.data.act[:r]])
 
     def set_reduced_state(self, state: np.ndarray) -> None:
         """Set the state (13 + 3r,); use within `reset_context`, or call `forward` afterwards."""

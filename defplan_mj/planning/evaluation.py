@@ -158,7 +158,11 @@ def run_episode(
     observation = env.reset().observation
     planner.reset()
     if recorder is not None:
-        start = {"timestep": physics.timestep(), **physics.stepping, "state": physics.reduced_state()}
+        start = {
+            "timestep": physics.timestep(),
+            **physics.stepping,
+            "state": physics.reduced_state(),
+        }
         recorder.begin({**(context or {}), **start}, scene)
         task.step_hook = lambda now, shape: recorder.step(
             now.time(), now.reduced_state(), shape, now.clearance()
