@@ -170,7 +170,7 @@ def surface_of(body: Body):
 
 def state(pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return a state of that pose; what else it says is random, so every bit of it counts."""
-    shape, velocity = rng.normal(size=MODES), rng.normal(size=6 + MODES)
+    shape, velocity = rng.normal(size=MODES), rng.normal(size=6 + 2 * MODES)  # and the last target
     return np.concatenate([pose, shape, velocity])
 
 
@@ -324,8 +324,7 @@ def record_swim(
             "task": "pebble-swim",
             "seed": 5,
             "timestep": TIMESTEP,
-            "substeps": 2,
-            "integrator": "variational",
+            **files.gait.stepping,
             "navigation": navigation,
         }
         context["feedback"] = "none" if feedback is None else feedback.name

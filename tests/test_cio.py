@@ -33,7 +33,7 @@ DIRECTIONS = ((0.15, 0, 0), (0, 0.15, 0))
 
 def toy_problem(tasks=DIRECTIONS, steps: int = 10, cycles: int = 2) -> GaitProblem:
     body = SimpleNamespace(n_modes=12, amplitude=np.ones(12), mass=MASS)
-    dynamics = SimpleNamespace(nu=12, nx=37, timestep=0.03, body=body)
+    dynamics = SimpleNamespace(nu=12, nx=49, timestep=0.03, body=body)
     gait_tasks = [GaitTask(f"task{i}", move=move) for i, move in enumerate(tasks)]
     weights = Objective(drift=2.0, effort=0.05)
     return GaitProblem(dynamics, gait_tasks, steps, steps * cycles, elements=4, weights=weights)

@@ -31,6 +31,8 @@ from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.planning.beams import beam_directions
 
+STEPPING = {"substeps": 2, "integrator": "variational"}
+
 
 def messages(path):
     """Decode every message by the schemas that are in the file itself, as a viewer does."""
@@ -256,12 +258,12 @@ def test_a_log_without_end_keeps_its_partial_name_and_is_not_whole(tmp_path):
 
 def test_an_interrupted_episode_leaves_a_readable_log(tmp_path):
     body = sample_body()
-    x = np.concatenate([[0, 0, 0, 1, 0, 0, 0], np.zeros(6 + 2 * MODES)])
+    x = np.concatenate([[0, 0, 0, 1, 0, 0, 0], np.zeros(6 + 3 * MODES)])
     with (
         pytest.raises(KeyboardInterrupt),
         Recorder(tmp_path / "a.mcap", RunFiles.of(body), surface_of(body)) as recorder,
     ):
-        recorder.begin({"timestep": TIMESTEP, "state": x}, sample_scene())
+        recorder.begin({"timestep": TIMESTEP, **STEPPING, "state": x}, sample_scene())
         for i in range(40):
             recorder.step((i + 1) * TIMESTEP, x, np.zeros(MODES), 1.0)
         raise KeyboardInterrupt
@@ -271,9 +273,9 @@ def test_an_interrupted_episode_leaves_a_readable_log(tmp_path):
 
 def test_what_is_on_disk_while_running_is_at_most_a_second_behind(tmp_path):
     body = sample_body()
-    x = np.concatenate([[0, 0, 0, 1, 0, 0, 0], np.zeros(6 + 2 * MODES)])
+    x = np.concatenate([[0, 0, 0, 1, 0, 0, 0], np.zeros(6 + 3 * MODES)])
     recorder = Recorder(tmp_path / "a.mcap", RunFiles.of(body), surface_of(body))
-    recorder.begin({"timestep": TIMESTEP, "state": x}, sample_scene())
+    recorder.begin({"timestep": TIMESTEP, **STEPPING, "state": x}, sample_scene())
     steps = 90
     for i in range(steps):
         recorder.step((i + 1) * TIMESTEP, x, np.zeros(MODES), 1.0)
@@ -286,9 +288,9 @@ def test_what_is_on_disk_while_running_is_at_most_a_second_behind(tmp_path):
 
 def test_a_cycle_that_does_not_start_where_the_last_one_ended_is_refused(tmp_path):
     body = sample_body()
-    x = np.concatenate([[0, 0, 0, 1, 0, 0, 0], np.zeros(6 + 2 * MODES)])
+    x = np.concatenate([[0, 0, 0, 1, 0, 0, 0], np.zeros(6 + 3 * MODES)])
     with Recorder(tmp_path / "a.mcap", RunFiles.of(body), surface_of(body)) as recorder:
-        recorder.begin({"timestep": TIMESTEP, "state": x}, sample_scene())
+        recorder.begin({"timestep": TIMESTEP, **STEPPING, "state": x}, sample_scene())
         recorder.step(TIMESTEP, x + 1, np.zeros(MODES), 1.0)
         with pytest.raises(ValueError, match="not the state at the cycle's start"):
             recorder.cycle(0, TIMESTEP, x + 1, 0, np.zeros(3), 0.0, np.ones(64))
@@ -296,9 +298,9 @@ def test_a_cycle_that_does_not_start_where_the_last_one_ended_is_refused(tmp_pat
 
 def test_a_full_disk_is_one_sentence(tmp_path, monkeypatch):
     body = sample_body()
-    x = np.concatenate([[0, 0, 0, 1, 0, 0, 0], np.zeros(6 + 2 * MODES)])
+    x = np.concatenate([[0, 0, 0, 1, 0, 0, 0], np.zeros(6 + 3 * MODES)])
     recorder = Recorder(tmp_path / "a.mcap", RunFiles.of(body), surface_of(body))
-    recorder.begin({"timestep": TIMESTEP, "state": x}, sample_scene())
+    recorder.begin({"timestep": TIMESTEP, **STEPPING, "state": x}, sample_scene())
 
     def full():
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -316,9 +318,9 @@ def test_an_unwritable_folder_is_one_sentence(tmp_path):
     (tmp_path / "file").write_text("in the way")
     body = sample_body()
     recorder = Recorder(tmp_path / "file" / "a.mcap", RunFiles.of(body), surface_of(body))
-    x = np.zeros(13 + 2 * MODES)
+    x = np.zeros(13 + 3 * MODES)
     with pytest.raises(DefplanError, match="cannot write log"):
-        recorder.begin({"timestep": TIMESTEP, "state": x}, sample_scene())
+        recorder.begin({"timestep": TIMESTEP, **STEPPING, "state": x}, sample_scene())
 
 
 def test_chunks_do_not_overlap_in_time_and_end_with_a_cycle(tmp_path):

@@ -94,7 +94,10 @@ def test_a_log_of_a_body_on_the_ground_holds_the_ground_and_its_forces(tmp_path)
     x = dynamics.rest_state()
     path = tmp_path / "ground.mcap"
     with Recorder(path, RunFiles.of(body, terrain=ground)) as recorder:
-        recorder.begin({"timestep": TIMESTEP, "state": x}, sample_scene())
+        recorder.begin(
+            {"timestep": TIMESTEP, "substeps": 2, "integrator": "variational", "state": x},
+            sample_scene(),
+        )
         for i in range(120):
             shape = np.array([0.3 * np.sin(0.5 * i), 0, 0]) * (i < 60)  # then it comes to rest
             x = dynamics.step(x, shape)
@@ -117,6 +120,7 @@ def test_an_episode_on_the_ground_replays_to_the_bit_in_kernel_and_mujoco(tmp_pa
     path = tmp_path / "walk.mcap"
     gait = swimming_gait(body)
     gait = replace(gait, alpha=0.1 * gait.alpha)  # so that it stays on its feet
+    gait = replace(gait, substeps=1)  # contacts are those of a step's last substep
     record_swim(path, RunFiles.of(body, gait, terrain=ground))
     log = read_log(path)
     assert log.whole and len(log.gait_index) == 6 and len(log.contacts) == 33

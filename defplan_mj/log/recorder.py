@@ -90,7 +90,8 @@ class Recorder:
 
         Args:
             context: JSON-able configuration (task, seed, planner, shield, navigation, ...), with
-                'timestep' (s), 'substeps', 'integrator', 'state' (nx,) at the start and optionally 'time' (s, default 0).
+                'timestep' (s), 'substeps', 'integrator', 'state' (nx,) at the start and optionally
+                'time' (s, default 0).
             scene: the navigation problem.
 
         Raises:
