@@ -185,8 +185,8 @@ def released(
     body: Body, shape: np.ndarray, steps: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Return surface paths of f reduced and f, (steps, n_s, 3), their masses, the bend's size."""
-    full = FullFem(body, drag=body.medium.density > 0, substeps=4)
-    dynamics = ReducedDynamics(body, substeps=4)
+    full = FullFem(body, drag=body.medium.density > 0, substeps=8)
+    dynamics = ReducedDynamics(body, substeps=8)
     x0 = dynamics.rest_state()
     x0[7 : 7 + dynamics.nu] = shape
     target = np.zeros((steps, dynamics.nu))

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from defplan_mj.body.cubature import drag_points
 from defplan_mj.body.convergence import stiffness_correction
+from defplan_mj.body.cubature import drag_points
 from defplan_mj.body.elasticity import linear_modes
 from defplan_mj.body.meshing import fill
 from defplan_mj.body.model import LIMITS, Body
