@@ -50,7 +50,7 @@ def reach(
     # objective: little effort, the shape at the end, no vibration there
     effort = sum(ca.sumsqr(shape) for shape in u)
     miss = ca.sumsqr(x[-1][7 : 7 + r] - wanted)
-    vibration = ca.sumsqr(x[-1][13 + r :])
+    vibration = ca.sumsqr(x[-1][13 + r : 13 + 2 * r])
     objective = 0.0025 * effort + 100 * miss + 0.09 * vibration
 
     # solve
