@@ -47,11 +47,13 @@ def reach(
             constraints.append(x[0] - rest)
     constraints = ca.vertcat(*constraints)
 
-    # objective: little effort, the shape at the end, no vibration there
+    # objective: little effort and motion, the shape at the end, no vibration there; without the motion
+    # the Hessian lacks what the dynamics' curvature would add, and Newton's steps grow
     effort = sum(ca.sumsqr(shape) for shape in u)
+    motion = sum(ca.sumsqr(state[13 + r : 13 + 2 * r]) for state in x)
     miss = ca.sumsqr(x[-1][7 : 7 + r] - wanted)
-    vibration = ca.sumsqr(x[-1][13 + r :])
-    objective = 0.0025 * effort + 100 * miss + 0.09 * vibration
+    vibration = ca.sumsqr(x[-1][13 + r : 13 + 2 * r])
+    objective = 0.0025 * effort + 0.0005 * motion + 1000 * miss + 0.09 * vibration
 
     # solve
     options = {"print_time": False, **OPTIONS[solver]}
