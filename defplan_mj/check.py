@@ -21,7 +21,7 @@ from defplan_mj.task import GaitTask, Progress, TaskSpec, no_progress
 
 CHECK_FILE = "check.json"
 FINER = 4  # what every step is divided by
-SETTLE, CYCLES = 2, 1  # cycles from rest that are not judged, and that are, in the full FEM
+SETTLE, CYCLES = 2, 2  # cycles from rest that are not judged, and that are, in the full FEM
 _POSES = 4  # of a judged cycle at which shapes are compared
 
 
