@@ -103,18 +103,16 @@ def random_state(
     speed: float = 1.0,
     vibration: float = 3.0,
 ) -> np.ndarray:
-    """Return a state at any place and attitude; `spin` rad/s, `speed` m/s, `vibration` 1/s."""
+    """Return a state at any place and attitude, with its shape as the last target.
+
+    `spin` is in rad/s, `speed` in m/s, `vibration` in 1/s.
+    """
     r, amplitude = dynamics.body.n_modes, dynamics.body.amplitude
-    return np.concatenate(
-        [
-            *(3 * rng.normal(size=3), random_quaternion(rng), rng.uniform(-amplitude, amplitude)),
-            *(
-                speed * rng.normal(size=3),
-                spin * rng.normal(size=3),
-                vibration * rng.normal(size=r),
-            ),
-        ]
-    )
+    place, quat = 3 * rng.normal(size=3), random_quaternion(rng)
+    shape = rng.uniform(-amplitude, amplitude)
+    velocity, turning = speed * rng.normal(size=3), spin * rng.normal(size=3)
+    rate = vibration * rng.normal(size=r)
+    return np.concatenate([place, quat, shape, velocity, turning, rate, shape])
 
 
 def matrix(quat: np.ndarray) -> np.ndarray:
