@@ -137,7 +137,7 @@ def test_more_functions_at_once_than_there_are_slots_is_an_error(dynamics):
             many.rollout(n)
     del many
     gc.collect()
-    assert CasadiDynamics(dynamics).rollout(70).size_out(0) == (28, 70)
+    assert CasadiDynamics(dynamics).rollout(70).size_out(0) == (dynamics.nx, 70)
 
 
 def test_a_step_that_does_not_converge_is_an_evaluation_error(small_fish):

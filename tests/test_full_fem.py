@@ -91,7 +91,7 @@ def test_gradient_and_hessian_are_the_derivatives_of_the_energy(body, integrator
     x = x + 1e-3 * rng.normal(size=x.shape)
     scale = 2.0 if integrator == "variational" else 1.0
     # hold contact as it is without damping and friction: then it has a potential
-    contact = FemContact(Terrain(friction=0.0, thickness=0.2), strong)
+    contact = FemContact(Terrain(friction=0.0, thickness=0.2, damping=0.0), strong)
     step = dataclasses.replace(step, contact=Touch(contact, state.now, H, scale))
     np.testing.assert_allclose(step.contact.end(x), end(x))
 
@@ -399,9 +399,11 @@ def test_held_contact_has_the_law_s_force_as_its_derivative(body, ground, bound)
     """On a heightfield but for what its distance, a slope's, lacks of the true one."""
     rng = np.random.default_rng(2)
     hills = Heightfield(0.02 * rng.normal(size=(6, 6)), (1.0, 1.0))
-    terrain = Terrain((TerrainGeom("plane"),) if ground == "plane" else (), thickness=0.05)
+    terrain = Terrain(
+        (TerrainGeom("plane"),) if ground == "plane" else (), thickness=0.05, damping=0.7
+    )
     terrain = dataclasses.replace(terrain, heightfield=hills if ground != "plane" else None)
-    law = FemContact(terrain, body, damping=0.7)
+    law = FemContact(terrain, body)
     start = body.vertices + [0.0, 0.0, 0.1] + 0.005 * rng.normal(size=body.vertices.shape)
     end = start + 0.01 * rng.normal(size=start.shape)
     held = law.hold(end, start, H)
@@ -416,7 +418,7 @@ def test_held_contact_has_the_law_s_force_as_its_derivative(body, ground, bound)
 
 
 def test_normal_force_damps_never_pulls_and_is_the_spring_s_at_rest(body):
-    law = FemContact(Terrain(thickness=0.05), body, damping=0.7)
+    law = FemContact(Terrain(thickness=0.05, damping=0.7), body)
     gaps, rates = np.full(5, 0.02), np.array([-2.0, -0.5, 0.0, 0.5, 20.0])
     force, by_gap, by_rate = law.normal_force(gaps, rates)
     spring = law.stiffness * 0.03**2

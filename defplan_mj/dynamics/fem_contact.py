@@ -18,18 +18,18 @@ from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import HEADER, PER_GEOM, TYPES, Terrain, pack_terrain
 from defplan_mj.kernel.library import kernel
 
-ROUNDING = 0.1  # eps: how round psi is where it would pull (kernel/contact_law.c)
+ROUNDING = 0.1  # eps: how round psi is where it would pull; as in kernel/contact_law.c
 
 
 class FemContact:
     """The terrain around a body's surface."""
 
-    def __init__(self, terrain: Terrain, body: Body, rounding: float = ROUNDING) -> None:
-        """Prepare the terrain; rounding is eps."""
+    def __init__(self, terrain: Terrain, body: Body) -> None:
+        """Prepare the terrain; b is its damping, s/m."""
         self.surface, self.vertices = body.surface, len(body.vertices)
         self.packed = pack_terrain(terrain, body)
         self.friction, self.stiffness, self.thickness, self.slip = self.packed[1:5]
-        self.damping, self.rounding = float(self.packed[14]), rounding
+        self.damping = self.packed[14]
         geoms = self.packed[HEADER : HEADER + PER_GEOM * len(terrain.geoms)].reshape(-1, PER_GEOM)
         level = terrain.heightfield is None and (geoms[:, 0] == TYPES["plane"]).all()
         self._planes = geoms if level and len(geoms) else None
@@ -50,7 +50,7 @@ class FemContact:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return N (m,), N, and its derivatives by the distance, N/m, and by its rate, N s/m."""
         depth, x = np.maximum(self.thickness - gaps, 0.0), 1.0 - self.damping * rates
-        root, scale = np.hypot(x, self.rounding), 1.0 + np.hypot(1.0, self.rounding)
+        root, scale = np.hypot(x, ROUNDING), 1.0 + np.hypot(1.0, ROUNDING)
         psi, slope = (x + root) / scale, (1.0 + x / root) / scale
         spring = self.stiffness * depth**2
         return (

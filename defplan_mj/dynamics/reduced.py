@@ -63,6 +63,9 @@ class ReducedDynamics:
     ):
         """Prepare the kernel's arrays.
 
+        Raises:
+            DefplanError: something about the body, the terrain, the feet or an option makes no sense.
+
         Args:
             timestep: of a control step, s.
             substeps: of the integrator in a control step.
@@ -75,14 +78,17 @@ class ReducedDynamics:
         self.blob = pack_body(body)
         self.par = pack_options(body, timestep, tolerance, max_newton, substeps, integrator)
         self._lib = kernel()
-        if self._lib.dp_check(self.blob, self.blob.size):
-            raise DefplanError(f"the kernel does not take the body {body.name}: reinstall defplan")
         self.model = Model(
             self.blob,
             self.par,
             None if terrain is None else pack_terrain(terrain, body),
             None if feet is None else pack_feet(feet, body),
         )
+        if code := self._lib.dp_check_model(self.model):
+            raise DefplanError(
+                f"the kernel does not take the body {body.name} with this medium, material, terrain and"
+                f" feet (code {code}): a number of them is not finite, or defplan has to be reinstalled"
+            )
         self._rest: np.ndarray | None = None
 
     def __reduce__(self) -> tuple:

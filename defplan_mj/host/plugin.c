@@ -57,7 +57,8 @@ static const mjtNum* find_numeric(const mjModel* m, int instance, int i, int* si
   return m->numeric_data + m->numeric_adr[id];
 }
 
-/* Fill `at`; return NULL, or what is wrong with the model. */
+/* Fill `at`; return NULL, or what is wrong with the model. The numbers behind the headers are not looked at:
+ * plugin_init does that once. */
 static const char* find_layout(const mjModel* m, int instance, layout* at) {
   int size = 0, sizes[5];
   at->blob = find_numeric(m, instance, 0, &size);
@@ -69,7 +70,7 @@ static const char* find_layout(const mjModel* m, int instance, layout* at) {
   if (!at->scale || size != sizes[0]) return "no scale numeric with one number a mode";
 
   at->terrain = find_numeric(m, instance, 3, &size);
-  if (at->terrain && dp_check_terrain(at->terrain, size)) return "no valid terrain numeric";
+  if (at->terrain && at->terrain[0] != size) return "no valid terrain numeric";
 
   /* actuators of this instance -> modal joints */
   at->r = 0;
@@ -182,6 +183,16 @@ static int plugin_init(const mjModel* m, mjData* d, int instance) {
   (void)d;
   layout at;
   const char* wrong = find_layout(m, instance, &at);
+  if (!wrong) {
+    double par[DP_N_PAR];
+    memcpy(par, at.options, sizeof(par));
+    par[DP_TIMESTEP] = m->opt.timestep;
+    const dp_model model = {at.blob, par, at.terrain, NULL};
+    if (dp_check_model(&model)) wrong = "its body, options or terrain hold a number that cannot be";
+    for (int i = 0; i < at.r; i++) {
+      if (!isfinite(at.scale[i])) wrong = "its scale numeric is not finite";
+    }
+  }
   if (wrong) mju_warning("defplan.reduced_fem: %s", wrong);
   return wrong ? -1 : 0;
 }

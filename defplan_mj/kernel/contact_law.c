@@ -21,7 +21,7 @@ int contact_law(const Terrain* t, double mu, int part, const double* p, const do
   const double k = t->stiffness;
   double a[3], A[9], slope;
   const double depth = t->thickness - terrain_gap(t, part, p, a, A);
-  if (!(depth > 0)) return 0;
+  if (depth <= 0) return 0; /* what is not a number goes on, so that the step fails */
   const double psi = damping(-t->damping * dot3(a, v), &slope), push = k * depth * depth * psi;
   const double size = sqrt(dot3(a, a)), fn = push * size;
   double Av[3], An[3], by_p[3], by_v[3]; /* derivatives of push */

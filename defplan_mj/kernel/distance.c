@@ -153,7 +153,8 @@ double dp_clearance(const double* blob, const double* qpos, int n_geom, const dp
   double best = cutoff;
   if (geom) *geom = -1;
   if (point) *point = -1;
-  if (body_view(&b, blob, (size_t)blob[2])) return best;
+  if (body_view_own(&b, blob)) return best;
+  if (!is_finite(qpos, 7 + b.r)) return NAN;
   /* the surface stays within 1.5 times its largest rest distance from the centre of mass */
   const double reach = 1.5 * b.radius;
   int near = 0;

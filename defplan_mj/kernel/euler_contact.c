@@ -25,14 +25,14 @@ static double contact_force(const Work* w, int part, const double* p, const doub
   double a[3], A[9], v[3], energy = 0;
   for (int i = 0; i < 3; i++) v[i] = (p[i] - before[i]) / h;
   const double depth = t->thickness - terrain_gap(t, part, p, a, A);
-  if (depth > 0) energy = k * depth * depth * depth / 3;
+  if (!(depth <= 0)) energy = k * depth * depth * depth / 3;
   if (!reference && mu != 0) {
     double now[9] = {0};
     contact_law(t, mu, part, p, v, f, D, now);
     for (int i = 0; i < 9; i++) F[i] += now[i], D[i] += now[i] / h;
     return energy;
   }
-  if (depth > 0) {
+  if (!(depth <= 0)) { /* also what is not a number, so that the step fails */
     for (int i = 0; i < 3; i++) f[i] += k * depth * depth * a[i];
     for (int i = 0; i < 9; i++) D[i] += 2 * k * depth * a[i / 3] * a[i % 3] - k * depth * depth * A[i];
   }
@@ -108,7 +108,7 @@ static double find_touching(Work* w) {
       }
       double gap = terrain_gap(&w->terrain, part, p, NULL, NULL);
       if (w->reference) gap = fmin(gap, terrain_gap(&w->terrain, part, reference, NULL, NULL));
-      if (!(gap < w->terrain.thickness)) continue;
+      if (gap >= w->terrain.thickness) continue;
       if (!touching[s]) {
         touching[s] = ++m, which[m - 1] = s;
         memset(w->touch_D + 9 * (m - 1), 0, 9 * sizeof(double)), memset(w->touch_F + 9 * (m - 1), 0, 9 * sizeof(double));

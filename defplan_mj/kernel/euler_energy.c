@@ -110,6 +110,7 @@ void work_assemble(Work* w) {
   const int r = b->r, kp = b->kp, rp = b->rp, np = b->np, n = 6 + r;
   const double h = w->h, ih2 = 1 / (h * h), *R = w->now.R;
   double *g = w->g, *H = w->H, *zeta = w->now.zeta, *dz = w->now.dz, e = 0;
+  *w->spent += kp * ((1 + r) * (b->nf + 3. * np) + 9 * kp + 3 * b->nc * (1 + r));
   kinematics(b, w->now.q, 1, zeta, w->scratch);
   memset(H, 0, sizeof(double) * n * n);
 

@@ -16,13 +16,16 @@ static void move(Work* w, const Config* from, const double* q_from, const double
   for (int c = 0; c < w->body->r; c++) w->q_now[c] = q_from[c] - alpha * step[6 + c];
 }
 
+static int most_iterations(const Work* w) { return (int)fmin(w->par[DP_MAX_NEWTON], 1000); }
+static int has_work_left(const Work* w) { return *w->spent < DP_MAX_WORK; }
+
 /* Newton with an energy line search from w->now; returns 1 if it converged. */
 static int minimise(Work* w, dp_info* info) {
-  const int n = 6 + w->body->r, limit = (int)w->par[DP_MAX_NEWTON];
+  const int n = 6 + w->body->r, limit = most_iterations(w);
   const double tolerance = w->par[DP_TOLERANCE], scale = w->body->mass / (w->h * w->h);
   double step[MAX_N], L[MAX_N * MAX_N];
   work_assemble(w);
-  for (info->iterations = 1; info->iterations <= limit; info->iterations++) {
+  for (info->iterations = 1; info->iterations <= limit && has_work_left(w); info->iterations++) {
     /* where E is not convex, raise the diagonal just far enough: a larger shift would only crawl */
     double diagonal[MAX_N], shift = 0;
     for (int i = 0; i < n; i++) diagonal[i] = fabs(w->H[i * n + i]) + 1e-6 * scale;
@@ -67,7 +70,7 @@ static int newton(Work* w, int limit, dp_info* info) {
   double step[MAX_N], next[MAX_N], A[MAX_N * MAX_N];
   int pivot[MAX_N], sign;
   work_assemble(w);
-  for (int k = 0; k < limit; k++) {
+  for (int k = 0; k < limit && has_work_left(w); k++) {
     info->iterations++;
     memcpy(A, w->H, sizeof(double) * n * n);
     if (!lu(A, n, pivot, &sign)) return 0;
@@ -118,7 +121,7 @@ static void positions_now(Work* w, double* out) {
  * its minimum; the forces follow at half speed if that is not enough. */
 static int solve_lagged(Work* w, int rounds, dp_info* info) {
   positions_now(w, w->touch_reference);
-  for (int k = 0; k < rounds; k++) {
+  for (int k = 0; k < rounds && has_work_left(w); k++) {
     info->attempts++;
     w->reference = w->touch_reference;
     dp_info minimum = {0, 0, 0, 1, 0};
@@ -194,7 +197,7 @@ static int solve_path(Work* w, dp_info* info) {
   scale[3] = scale[4] = scale[5] = fmax(scale[3], fmax(scale[4], scale[5])); /* no axis is special */
   tangent[n] = 1;
   Saved last;
-  for (int k = 0; k < PATH_STEPS; k++) {
+  for (int k = 0; k < PATH_STEPS && has_work_left(w); k++) {
     save(w, &last);
     assemble_share(w, scale, share, by_share);
     /* onwards is where the bordered matrix keeps its sign, also round the kinks where a point touches */
@@ -245,7 +248,7 @@ static int solve_path(Work* w, dp_info* info) {
 
 /* The step with contact: Newton; if it fails, more and more careful ways to the same equations. */
 static int solve_contact(Work* w, dp_info* info) {
-  const int limit = (int)w->par[DP_MAX_NEWTON];
+  const int limit = most_iterations(w);
   work_assemble(w);
   Saved start;
   if (w->m) { /* the free motion leads into the ground: stay */

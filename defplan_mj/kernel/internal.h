@@ -30,7 +30,19 @@ typedef struct {
   const double *contacts;                    /* kp x 3 x nc: points that can touch the terrain */
 } Body;
 
+/* Whether a number of a header counts something: 0, 1, ... most. */
+static inline int is_count(double x, double most) { return x >= 0 && x <= most && x == floor(x); }
+static inline int is_finite(const double* a, size_t n) {
+  int all = 1;
+  for (size_t i = 0; i < n; i++) all &= isfinite(a[i]) != 0;
+  return all;
+}
+
+/* View a blob of n doubles: 0, or a negative code if its header or its size is wrong. The numbers behind the
+ * header are not looked at: dp_check_model does that once, where a model is loaded. */
 int body_view(Body* b, const double* blob, size_t n);
+/* The same, taking the size from the blob itself. */
+int body_view_own(Body* b, const double* blob);
 
 /* Points of the body that take given forces. */
 typedef struct {

@@ -37,6 +37,9 @@ enum {               /* indices of par */
 
 enum { DP_VARIATIONAL, DP_IMPLICIT_EULER };
 enum { DP_MAX_SUBSTEPS = 64, DP_MAX_DIVISION = 64 }; /* of a step; how far a substep is divided if need be */
+/* Multiplications, about, that a step is given before it fails: so that any input, however absurd, is answered
+ * within 100 ms of processor time, and that the answer does not depend on the machine. */
+enum { DP_MAX_WORK = 200000000 };
 enum { DP_MAX_MODES = 16, DP_MAX_BASIS = 64, DP_MAX_SAMPLES = 40, DP_MAX_POINTS = 512 };
 enum { DP_MAX_CONTACTS = 192, DP_MAX_FEET = 16, DP_MAX_INPUT = DP_MAX_MODES + 3 * DP_MAX_FEET };
 
@@ -69,6 +72,10 @@ DP_API const char* dp_missing_instructions(void);
 
 /* 0 if blob holds a body of this version in n doubles, else a negative code. */
 DP_API int dp_check(const double* blob, size_t n);
+/* 0 if all that the model names belongs together and every number of it can be; else a negative code. To be
+ * asked once, where a model is loaded: the calls below look at headers, options, geoms and what they are given
+ * themselves, and fail where another number that is not finite takes part. */
+DP_API int dp_check_model(const dp_model* m);
 /* 0 if terrain (not NULL) holds one in n doubles; feet for this body likewise. */
 DP_API int dp_check_terrain(const double* terrain, size_t n);
 DP_API int dp_check_feet(const double* blob, const double* feet, size_t n);
@@ -78,17 +85,20 @@ DP_API void dp_sizes(const double* blob, int sizes[5]);
 /* Size of a state of a body with r modes. */
 DP_API int dp_state_size(const double* blob);
 /* One step. Returns 0, or 1 if the solve failed, or something given is not finite: x_next is then x with
- * what is not finite taken out. A substep without a solution is divided. */
+ * what is not finite taken out, and nothing if the model has no body. A substep without a solution is divided,
+ * until the step has done as much work as DP_MAX_WORK allows: then it has failed. */
 DP_API int dp_step(const dp_model* m, const double* x, const double* u,
                    double* x_next, dp_info* info);
 /* The same from a state (nx) near the solution, of which the configuration counts: fewer iterations.
- * If they do not converge, as dp_step. */
+ * If they do not converge, as dp_step; if it is not a state, the step fails. */
 DP_API int dp_step_near(const dp_model* m, const double* x, const double* u, const double* near,
                         double* x_next, dp_info* info);
-/* N steps: u (N x nu), xs ((N+1) x nx) with xs[0] = x0 given. Returns the number of failed solves. */
+/* N steps: u (N x nu), xs ((N+1) x nx) with xs[0] = x0 given. Returns the number of failed solves; the states
+ * after x0 are finite. */
 DP_API int dp_rollout(const dp_model* m, int N, const double* u, double* xs,
                       long* iterations);
-/* Jacobians of x_next, row-major: A (nx x nx), B (nx x nu), at a solved step. Returns 0 or 1 (singular). */
+/* Jacobians of x_next, row-major: A (nx x nx), B (nx x nu), at a solved step. Returns 0,
+ * or 1 (singular, not a solved step, or not finite): A and B are then of no use. The adjoints likewise. */
 DP_API int dp_step_jac(const dp_model* m, const double* x, const double* u,
                        const double* x_next, double* A, double* B);
 /* Adjoint: gx = A^T g_next, gu = B^T g_next (overwritten). */
@@ -116,7 +126,8 @@ DP_API void dp_feet(const dp_model* m, const double* qpos, double* points, doubl
 /* World positions of the surface points, (n_s x 3) row-major. */
 DP_API void dp_surface(const double* blob, const double* qpos, double* points);
 /* Smallest signed distance between the surface points and the geoms (positive outside), at most
- * `cutoff`; *geom and *point (may be NULL) say where, -1 if none is nearer than the cutoff. */
+ * `cutoff`; *geom and *point (may be NULL) say where, -1 if none is nearer than the cutoff. NaN if qpos is not
+ * finite. */
 DP_API double dp_clearance(const double* blob, const double* qpos, int n_geom, const dp_geom* geoms,
                            double cutoff, int* geom, int* point);
 /* Signed distance of one point to one geom, and its outward gradient (normal, may be NULL). */

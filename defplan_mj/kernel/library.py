@@ -100,6 +100,7 @@ def kernel() -> ctypes.CDLL:
     m = p(Model)
     signatures = {
         "dp_check": (c_int, [a, c_size_t]),
+        "dp_check_model": (c_int, [m]),
         "dp_sizes": (None, [a, p(c_int)]),
         "dp_check_terrain": (c_int, [a, c_size_t]),
         "dp_check_feet": (c_int, [a, a, c_size_t]),

@@ -57,6 +57,8 @@ void node_set(const Path* p, Node* n, const Pose* pose, int level) {
   const Body* b = p->body;
   const int np = b->np, whole = level == NODE_WHOLE;
   if (&n->at != pose) n->at = *pose;
+  const double fields = b->nf + (has_drag(p) ? 3 * np : 0), once = 9 * b->kp + (level ? 6 * np : 0) + 3 * b->nc;
+  *p->spent += b->kp * ((whole ? 1 + b->r : 1) * fields + once);
   quat_matrix(n->at.quat, n->R);
   kinematics(b, n->at.q, whole, n->zeta, n->scratch);
   moments_apply(b, n->zeta, n->P);

@@ -105,15 +105,21 @@ def pack_options(
     convergence is quadratic, so the state is then exact to about its square.
 
     Raises:
-        DefplanError: there is no such integrator or number of substeps.
+        DefplanError: there is no such integrator, or one of the numbers makes no sense.
     """
     if integrator not in INTEGRATORS:
         known = " or ".join(INTEGRATORS)
         raise DefplanError(f"there is no integrator {integrator!r}: take {known}")
-    if not 1 <= substeps <= MAX_SUBSTEPS:
-        raise DefplanError(f"substeps is {substeps}: it must lie between 1 and {MAX_SUBSTEPS}")
+    if not 1 <= substeps <= MAX_SUBSTEPS or substeps != int(substeps):
+        raise DefplanError(
+            f"substeps is {substeps}: it must be a whole number between 1 and {MAX_SUBSTEPS}"
+        )
     if not 0.0 < timestep < 1e6:
         raise DefplanError(f"the time step is {timestep} s: it must be positive")
+    if not 0.0 < tolerance < np.inf:
+        raise DefplanError(f"the tolerance is {tolerance}: it must be positive")
+    if not 1 <= max_newton < np.inf or max_newton != int(max_newton):
+        raise DefplanError(f"max_newton is {max_newton}: it must be a whole number from 1 on")
     medium, material = body.medium, body.material
     return np.array(
         [

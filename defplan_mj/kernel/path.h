@@ -26,6 +26,7 @@ typedef struct {
   const double* origin; /* world; what places c are told from */
   Feet feet;
   Terrain terrain;
+  double* spent; /* multiplications of this step so far, about: see DP_MAX_WORK */
   Node nodes[3], *n0, *n1, *n2; /* before, now, next */
   double *local;                /* (1 + r) x 3 np, body axes */
   double *mean01, *area12;      /* 3 np: area vectors of the two intervals */

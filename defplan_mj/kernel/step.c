@@ -43,18 +43,22 @@ static void pack(int r, const double* origin, const Pose* last, const Pose* befo
 
 /* --- one substep, by either integrator */
 
+static const double HALF_TURN = 3.14; /* rad */
+
 /* The memory of a substep. */
 typedef struct {
   const Parts* parts;
   int euler, n;
   Work work;
   Path path;
+  double spent;               /* multiplications since the step began: DP_MAX_WORK ends it */
   const double* origin;       /* what the nodes' places are told from: x's, so that no digit is lost */
   double input[DP_MAX_INPUT]; /* of the substep */
 } Solver;
 
 static size_t solver_lay(Solver* s, const Parts* parts, double* memory) {
   s->parts = parts, s->euler = parts->euler, s->n = 6 + parts->body.r;
+  s->spent = 0, s->work.spent = s->path.spent = &s->spent;
   if (!parts->euler) return path_lay(&s->path, parts, memory);
   if (memory) work_init(&s->work, memory, &parts->body, parts->model, &parts->terrain, &parts->feet);
   return work_size(&parts->body, &parts->terrain, &parts->feet);
@@ -99,13 +103,6 @@ static int solve_substep(Solver* s, int first, const Pose* x0, const Pose* x1, d
   return done;
 }
 
-static int is_finite(const double* a, int n) {
-  int all = 1;
-  for (int i = 0; i < n; i++) all &= isfinite(a[i]) != 0;
-  return all;
-}
-
-
 /* How far from free motion a substep may end, in q and in rad. The equations of a coarse step have several
  * solutions; the one that goes on with the motion is near it, so one far from it asks for finer substeps. */
 static const double MAX_DEVIATION = 1.2;
@@ -122,17 +119,22 @@ static int strays(int r, const Pose* x) {
 }
 
 /* A step's nodes: nodes[0] is before x, nodes[1] is x, then one a substep. Returns the number of parts
- * that substeps were divided into, 0 if there is no solution. `near` (NULL: none): a state near the
- * solution. `nodes` holds 2 + substeps * most. */
-static int solve_nodes(Solver* s, const double* x, const double* u, const double* near, int most, Pose* nodes,
-                       dp_info* info) {
+ * that substeps were divided into, first or more, 0 if there is no solution. `near` (NULL: none): a state
+ * near the solution. `nodes` holds 2 + substeps * most. */
+static int solve_nodes(Solver* s, const double* x, const double* u, const double* near, int first, int most,
+                       Pose* nodes, dp_info* info) {
   const Parts* p = s->parts;
   const int r = p->body.r;
   const double* last = x + 13 + 2 * r;
   s->origin = x;
-  for (int division = 1; division <= most;) {
+  const double spin = sqrt(dot3(x + 10 + r, x + 10 + r));
+  for (int division = first; division <= most && s->spent < DP_MAX_WORK;) {
     const int n = p->substeps * division;
     const double h = substep(p, division);
+    if (!(h * spin < HALF_TURN)) { /* two nodes do not tell it from another turn */
+      division *= 2;
+      continue;
+    }
     Pose guess[2];
     state_nodes(r, x, h, nodes + 1, nodes);
     if (near) {
@@ -160,7 +162,7 @@ static int solve_nodes(Solver* s, const double* x, const double* u, const double
 static void fall_back(int r, const double* x, const double* u, double* x_next) {
   const int nx = 13 + 3 * r;
   for (int i = 0; i < nx; i++) x_next[i] = isfinite(x[i]) ? x[i] : 0;
-  for (int c = 0; c < r; c++)
+  for (int c = 0; c < r && u; c++)
     if (isfinite(u[c])) x_next[13 + 2 * r + c] = u[c];
   double norm = 0;
   for (int i = 3; i < 7; i++) norm += x_next[i] * x_next[i];
@@ -186,13 +188,13 @@ static int step(const Parts* p, const double* x, const double* u, const double* 
     const int rough = p->substeps * 4 + 2; /* nearly always enough */
     Pose few[rough];
     SOLVER(s, p);
-    int division = solve_nodes(&s, x, u, near, 4, few, info);
+    int division = solve_nodes(&s, x, u, near, 1, 4, few, info);
     if (division) {
       const Pose* end = few + p->substeps * division + 1;
       pack(r, x, end, end - 1, u, substep(p, division), x_next);
     } else {
       Pose nodes[p->substeps * DP_MAX_DIVISION + 2];
-      division = solve_nodes(&s, x, u, near, DP_MAX_DIVISION, nodes, info);
+      division = solve_nodes(&s, x, u, NULL, 8, DP_MAX_DIVISION, nodes, info);
       const Pose* end = nodes + p->substeps * division + 1;
       if (division) pack(r, x, end, end - 1, u, substep(p, division), x_next);
     }
@@ -211,24 +213,25 @@ int dp_step(const dp_model* m, const double* x, const double* u, double* x_next,
 int dp_step_near(const dp_model* m, const double* x, const double* u, const double* near, double* x_next,
                  dp_info* info) {
   Parts p;
-  if (parts_view(&p, m)) {
-    fall_back((int)m->body[3], x, u, x_next);
-    if (info) *info = (dp_info){0, 0, 1, 1, 0};
-    return 1;
-  }
-  return step(&p, x, u, near && sane(&p, near, u) ? near : NULL, x_next, info);
+  const int wrong = parts_view(&p, m);
+  if (!wrong && (!near || sane(&p, near, u))) return step(&p, x, u, near, x_next, info);
+  if (wrong != NO_BODY) fall_back(p.body.r, x, u, x_next);
+  if (info) *info = (dp_info){0, 0, 1, 1, 0};
+  return 1;
 }
 
 int dp_rollout(const dp_model* m, int N, const double* u, double* xs, long* iterations) {
   Parts p;
-  const int nx = 13 + 3 * (int)m->body[3];
   const int wrong = parts_view(&p, m);
+  if (iterations) *iterations = 0;
+  if (wrong == NO_BODY) return N;
+  const int nx = 13 + 3 * p.body.r;
   int failed = 0;
   long count = 0;
   for (int i = 0; i < N; i++) {
     dp_info info = {0, 0, 1, 1, 0};
     double *x = xs + (size_t)i * nx, *next = x + nx;
-    if (wrong) memcpy(next, x, sizeof(double) * nx);
+    if (wrong) fall_back(p.body.r, x, NULL, next);
     else step(&p, x, u + (size_t)i * p.nu, NULL, next, &info);
     failed += info.failed, count += info.iterations;
   }
@@ -263,7 +266,7 @@ static void pull_output(int r, const Pose* last, const Pose* before, double h, c
   }
 }
 
-/* Gradients over the last two nodes (tangent) -> gradient over the state x; its target's part is set to 0. */
+/* Gradients over the last two nodes (tangent) -> gradient over the state x; its target's part is left. */
 static void pull_input(int r, const double* x, const Pose* last, double h, const double* g1, const double* g0,
                        double* gx) {
   const double* omega = x + 7 + r + 3;
@@ -281,7 +284,7 @@ static void pull_input(int r, const double* x, const Pose* last, double h, const
   gx[3] = -2 * dot3(g, q + 1) / norm2;
   for (int i = 0; i < 3; i++) gx[4 + i] = 2 * (q[0] * g[i] - cr[i]) / norm2;
   for (int c = 0; c < r; c++) {
-    gx[7 + c] = g1[6 + c] + g0[6 + c], gv[6 + c] = -h * g0[6 + c], gx[13 + 2 * r + c] = 0;
+    gx[7 + c] = g1[6 + c] + g0[6 + c], gv[6 + c] = -h * g0[6 + c];
   }
 }
 
@@ -372,12 +375,13 @@ static int backward(Solver* s, const double* x, const double* u, const double* x
   Factors f;
   double left = 0;
   if (!sane(p, x, u) || !sane(p, x_next, u)) return 1;
+  s->spent = 0;
   for (int again = 0; again < 2; again++) {
     Pose nodes[p->substeps * (again ? DP_MAX_DIVISION : 1) + 2];
     int division = 1, k;
     dp_info info = {0, 0, 0, 1, 0};
     if (!again && !recover_nodes(s, x, u, x_next, nodes)) continue;
-    if (again && !(division = solve_nodes(s, x, u, NULL, DP_MAX_DIVISION, nodes, &info))) return 1;
+    if (again && !(division = solve_nodes(s, x, u, NULL, 1, DP_MAX_DIVISION, nodes, &info))) return 1;
     const int n = p->substeps * division;
     const double h = substep(p, division);
     begin(s, nodes, n, h, data);
@@ -423,16 +427,15 @@ static void adjoint_substep(Solver* s, const Factors* f, int k, int n, void* dat
 static int adjoint(Solver* s, const double* x, const double* u, const double* x_next, const double* g_next,
                    double* gx, double* gu) {
   const int r = s->parts->body.r;
+  const int nx = 13 + 3 * r, nu = s->parts->nu;
   Adjoint a = {.x = x, .g_next = g_next, .gx = gx, .gu = gu};
-  if (backward(s, x, u, x_next, adjoint_begin, adjoint_substep, &a)) {
-    memset(gx, 0, sizeof(double) * (13 + 3 * r)), memset(gu, 0, sizeof(double) * s->parts->nu);
-    return 1;
+  int done = is_finite(g_next, nx) && !backward(s, x, u, x_next, adjoint_begin, adjoint_substep, &a);
+  if (done) {
+    pull_input(r, x, &a.last, a.h, a.later, a.earlier, gx);
+    done = is_finite(gx, nx) && is_finite(gu, nu);
   }
-  double by_target[DP_MAX_MODES];
-  memcpy(by_target, gx + 13 + 2 * r, sizeof(double) * r);
-  pull_input(r, x, &a.last, a.h, a.later, a.earlier, gx);
-  memcpy(gx + 13 + 2 * r, by_target, sizeof(double) * r);
-  return 0;
+  if (!done) memset(gx, 0, sizeof(double) * nx), memset(gu, 0, sizeof(double) * nu);
+  return !done;
 }
 
 int dp_step_adj(const dp_model* m, const double* x, const double* u, const double* x_next, const double* g_next,
@@ -511,11 +514,6 @@ int dp_step_jac(const dp_model* m, const double* x, const double* u, const doubl
   SOLVER(s, &p);
   Jacobian j = {.x = x, .A = A, .B = B, .nx = nx};
   if (backward(&s, x, u, x_next, jacobian_begin, jacobian_substep, &j)) return 1;
-  for (int o = 0; o < nx; o++) {
-    double row[MAX_STATE];
-    memcpy(row, A + (size_t)o * nx + 13 + 2 * r, sizeof(double) * r);
-    pull_input(r, x, &j.last, j.h, j.later[o], j.earlier[o], A + (size_t)o * nx);
-    memcpy(A + (size_t)o * nx + 13 + 2 * r, row, sizeof(double) * r);
-  }
-  return 0;
+  for (int o = 0; o < nx; o++) pull_input(r, x, &j.last, j.h, j.later[o], j.earlier[o], A + (size_t)o * nx);
+  return !is_finite(A, (size_t)nx * nx) || !is_finite(B, (size_t)nx * p.nu);
 }

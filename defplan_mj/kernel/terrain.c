@@ -2,22 +2,33 @@
 #include "internal.h"
 
 enum { TERRAIN_HEADER = 16, PER_GEOM = 16 };
+static const int SIZES[] = {0, 0, 1, 2, 3, 2, 3}; /* numbers in the size of a geom, by its type */
 
 int terrain_view(Terrain* t, const double* terrain, size_t n) {
   memset(t, 0, sizeof *t);
   if (!terrain) return 0;
   if (n < TERRAIN_HEADER || terrain[0] != (double)n) return -3;
+  if (!is_finite(terrain, TERRAIN_HEADER)) return -4;
+  for (int i = 5; i < 8; i++)
+    if (!is_count(terrain[i], 1e7)) return -4;
   t->friction = terrain[1], t->stiffness = terrain[2], t->thickness = terrain[3], t->slip = terrain[4];
   t->n_geoms = (int)terrain[5], t->rows = (int)terrain[6], t->columns = (int)terrain[7];
   memcpy(t->centre, terrain + 8, sizeof t->centre), memcpy(t->half, terrain + 11, sizeof t->half);
   t->top = terrain[13], t->damping = terrain[14];
   if (!(t->friction >= 0 && t->stiffness > 0 && t->thickness > 0 && t->slip > 0 && t->damping >= 0)) return -4;
-  if (t->n_geoms < 0 || t->rows < 0 || t->columns < 0) return -4;
   if (t->rows > 0 && (t->rows < 2 || t->columns < 2 || !(t->half[0] > 0 && t->half[1] > 0))) return -4;
   t->geoms = terrain + TERRAIN_HEADER;
   t->coefficients = t->geoms + (size_t)PER_GEOM * t->n_geoms;
   const size_t size = TERRAIN_HEADER + (size_t)PER_GEOM * t->n_geoms + (size_t)t->rows * t->columns;
-  return n == size ? 0 : -3;
+  if (n != size) return -3;
+  for (int i = 0; i < t->n_geoms; i++) {
+    const double* row = t->geoms + (size_t)PER_GEOM * i;
+    const int type = is_count(row[0], DP_BOX) ? (int)row[0] : -1;
+    if (type < 0 || type == 1 || !is_finite(row, PER_GEOM)) return -4;
+    for (int k = 0; k < SIZES[type]; k++)
+      if (!(row[1 + k] > 0)) return -4;
+  }
+  return 0;
 }
 
 int dp_check_terrain(const double* terrain, size_t n) {
@@ -80,7 +91,7 @@ double dp_terrain_gap(const double* terrain, const double p[3], double normal[3]
   Terrain t;
   double best = INFINITY;
   if (normal) normal[0] = normal[1] = 0, normal[2] = 1;
-  if (terrain_view(&t, terrain, terrain ? (size_t)terrain[0] : 0)) return best;
+  if (!terrain || !is_count(terrain[0], 1e9) || terrain_view(&t, terrain, (size_t)terrain[0])) return best;
   for (int i = 0; i < terrain_parts(&t); i++) {
     double n[3], gap = terrain_gap(&t, i, p, n, NULL), length = sqrt(dot3(n, n));
     gap /= length;

@@ -13,7 +13,8 @@
 #include "path.h"
 
 static const double MAX_TURN = .7; /* rad or units of q in one iteration */
-enum { QUASI_NEWTON = 30, NEWTON = 30, HALVINGS = 6 };
+enum { QUASI_NEWTON = 30, HALVINGS = 6 };
+static const double PER_GAP = 50, PER_LAW = 300; /* multiplications, about */
 
 void path_prepare(Path* p) {
   const Body* b = p->body;
@@ -77,14 +78,15 @@ static void touch(Path* p) {
   for (int s = 0; s < b->n_contacts; s++)
     radius = fmax(radius, y[s] * y[s] + y[nc + s] * y[nc + s] + y[2 * nc + s] * y[2 * nc + s]);
   radius = sqrt(radius) + t->thickness;
-  p->m = 0;
+  p->m = 0, *p->spent += PER_GAP * parts;
   for (int part = 0; part < parts; part++) {
     if (part < t->n_geoms ? terrain_gap(t, part, c, NULL, NULL) > radius
                           : c[2] - t->top - t->centre[2] > radius) continue;
+    *p->spent += PER_GAP * b->n_contacts;
     for (int s = 0; s < b->n_contacts; s++) {
       double x[3], v[3];
       for (int i = 0; i < 3; i++) x[i] = c[i] + y[i * nc + s];
-      if (!(terrain_gap(t, part, x, NULL, NULL) < t->thickness)) continue;
+      if (terrain_gap(t, part, x, NULL, NULL) >= t->thickness) continue;
       for (int i = 0; i < 3; i++)
         v[i] = (p->n2->at.c[i] - p->n1->at.c[i] + y[i * nc + s] - p->n1->touch[i * nc + s]) * ih;
       int k = 0;
@@ -94,6 +96,7 @@ static void touch(Path* p) {
         memset(p->touch_f + 3 * k, 0, 3 * sizeof(double));
         memset(p->touch_D + 9 * k, 0, 9 * sizeof(double)), memset(p->touch_F + 9 * k, 0, 9 * sizeof(double));
       }
+      *p->spent += PER_LAW;
       contact_law(t, t->friction, part, x, v, p->touch_f + 3 * k, p->touch_D + 9 * k, p->touch_F + 9 * k);
     }
   }
@@ -165,6 +168,7 @@ static void apply_drag(const double* restrict D, const double* restrict v, int n
 void drag_matrix(Path* p, const Node* nb, double* H) {
   const int r = p->body->r, np = p->body->np, n = 6 + r;
   const Node* na = p->n1;
+  *p->spent += n * np * (20. + 3 * r);
   const double *restrict D = p->D12, *y = nb->y;
   double* col = p->local;
   double* out = p->local + 3 * np;
@@ -255,6 +259,7 @@ void touch_matrix(Path* p, int exact, double* H) {
   const Body* b = p->body;
   const int r = b->r, n = 6 + r, nc = b->nc, kp = b->kp;
   double sums[MAX_N * ROW] = {0};
+  *p->spent += p->m * (3. * ROW * n + (exact ? 2 : 1) * 3. * r * kp);
   for (int k = 0; k < p->m; k++) {
     const int s = p->which[k];
     double J[3][ROW], J2[3][ROW], DJ[3][ROW];
@@ -347,7 +352,7 @@ static int quasi_newton(Path* p, const Pose* guess, dp_info* info) {
   path_residual(p);
   int kept = 0; /* updates */
   double before = 0;
-  for (int k = 0, fresh = 1; k < QUASI_NEWTON; k++) {
+  for (int k = 0, fresh = 1; k < QUASI_NEWTON && *p->spent < DP_MAX_WORK; k++) {
     info->iterations++;
     if (fresh) {
       memcpy(p->H, free, sizeof(double) * n * n);
@@ -404,7 +409,7 @@ static int newton(Path* p, const Pose* guess, dp_info* info) {
   Factors f;
   node_set(p, p->n2, guess, NODE_WHOLE);
   path_residual(p);
-  for (int k = 0; k < limit; k++) {
+  for (int k = 0; k < limit && *p->spent < DP_MAX_WORK; k++) {
     info->iterations++;
     variational_matrix(p);
     if (!factorise(&f, p->H, n, 0)) return 0;

@@ -33,6 +33,7 @@ typedef struct {
   const double* origin;  /* world; what places are told from */
   Feet feet;
   Terrain terrain;
+  double* spent; /* multiplications of this step so far, about: see DP_MAX_WORK */
   Config now, one, two; /* the iterate, the last configuration, the one before */
   double q_one[DP_MAX_MODES], q_two[DP_MAX_MODES], q_now[DP_MAX_MODES];
   double guess[3];                  /* c^ */
@@ -95,7 +96,8 @@ typedef struct {
   int substeps, euler; /* of a step; whether implicit Euler is the integrator */
 } Parts;
 
-/* 0, or a negative code if something about the model cannot be. */
+/* 0, or a negative code if something about the model cannot be: NO_BODY if `body` is not one. */
+enum { NO_BODY = -1 };
 int parts_view(Parts* p, const dp_model* m);
 
 /* out (3 x n) = R in, points or vectors as structure of arrays */
