@@ -24,7 +24,7 @@ def test_task_is_registered():
     assert isinstance(task, TaskSpec) and task is quadruped.SWIM
     assert task.mesh.is_file()
     assert {gait.name for gait in task.gait_tasks} == {"front", "back", "left", "right", "forward"}
-    assert task.steps_per_cycle == 9 and task.body.vertices == 1054 and task.body.modes == 10
+    assert task.steps_per_cycle == 18 and task.body.vertices == 1054 and task.body.modes == 10
     assert task.navigation.space == "spatial" and task.navigation.k2 == 30
 
 
