@@ -20,9 +20,11 @@ from defplan_mj.body.model import Body
 from defplan_mj.dynamics.feet import lowest_feet
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import HEADER, Heightfield, Terrain
+from defplan_mj.kernel import library
 from defplan_mj.kernel.library import Geom, Info, Model, kernel
 
-SECONDS = 0.1  # of processor time: an answer to anything comes within this
+# Of processor time: an answer to anything comes within this; longer with what sanitizers add.
+SECONDS = 2.0 if library.FOLDER else 0.1
 STARTUP = 60.0
 
 # What runs in the other process: CASE is an expression of d (dynamics), x, u, n, r, np, bad (a function that
