@@ -243,3 +243,22 @@ def test_physics_unpickles_in_a_fresh_process(tmp_path):
     )
     physics.step(5)
     assert done.stdout == physics.reduced_state().tobytes()
+
+
+@pytest.mark.parametrize("numeric", ["defplan_body", "defplan_options", "defplan_scale"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_model_with_a_number_that_is_none_is_refused(model, numeric, value):
+    spoilt = copy.copy(model)
+    found = spoilt.numeric(numeric)
+    spoilt.numeric_data[found.adr[0] + found.size[0] - 1] = value
+    with pytest.raises(mujoco.FatalError, match="plugin->init failed"):
+        mujoco.MjData(spoilt)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_an_activation_that_is_no_number_fails_with_a_finite_state(model, value):
+    data = mujoco.MjData(model)
+    data.act[0] = value
+    mujoco.mj_step(model, data)
+    assert data.plugin_state[3] == 1  # ST_FAILED
+    assert np.isfinite(np.concatenate([data.qpos, data.qvel, data.act])).all()

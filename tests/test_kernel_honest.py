@@ -7,6 +7,7 @@ since a machine may be busy with something else.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import subprocess
 import sys
@@ -16,8 +17,14 @@ import numpy as np
 import pytest
 
 from defplan_mj.body.model import Body
+from defplan_mj.dynamics.feet import lowest_feet
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.terrain import HEADER, Heightfield, Terrain
+from defplan_mj.kernel import library
+from defplan_mj.kernel.library import Geom, Info, Model, kernel
 
-SECONDS = 0.1  # of processor time: an answer to anything comes within this
+# Of processor time: an answer to anything comes within this; longer with what sanitizers add.
+SECONDS = 2.0 if library.FOLDER else 0.1
 STARTUP = 60.0
 
 # What runs in the other process: CASE is an expression of d (dynamics), x, u, n, r, np, bad (a function that
@@ -259,3 +266,83 @@ def test_a_crash_and_a_hang_are_seen(fish_file, monkeypatch):
     answers = hostile(fish_file, "swims", cases)
     assert answers[cases[0]] == answers[cases[1]] == {}
     assert answers[cases[2]]["finite"] and np.isfinite(answers[cases[2]]["seconds"])
+
+
+# --- a model whose arrays were changed behind its back, as a C program could
+
+
+@pytest.fixture(scope="module")
+def rough(small_walker: Body) -> ReducedDynamics:
+    """A walker on a heightfield that it stands on everywhere."""
+    heights = 0.01 * np.random.default_rng(0).normal(size=(5, 5))
+    return ReducedDynamics(
+        small_walker, terrain=Terrain((), heightfield=Heightfield(heights, (2.0, 2.0)))
+    )
+
+
+def spoilt(dynamics: ReducedDynamics, name: str, index: int, value: float) -> Model:
+    """Return the model with one number of one of its arrays replaced."""
+    arrays = dict(zip(("body", "par", "terrain", "feet"), dynamics.model.arrays, strict=True))
+    arrays[name] = arrays[name].copy()
+    arrays[name][index] = value
+    return Model(**arrays)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["body", "par", "terrain", "feet"])
+def test_every_number_of_a_model_is_looked_at_where_it_is_loaded(rough, name, value):
+    dynamics = rough.with_feet(lowest_feet(rough.body)) if name == "feet" else rough
+    check = kernel().dp_check_model
+    assert check(dynamics.model) == 0
+    array = dynamics.model.arrays[("body", "par", "terrain", "feet").index(name)]
+    some = np.random.default_rng(1).integers(0, array.size, 300)
+    for index in {*range(min(array.size, 40)), *some.tolist(), array.size - 1}:
+        assert check(spoilt(dynamics, name, index, value)) < 0, (name, index)
+
+
+@pytest.mark.parametrize("name", ["par", "terrain"])
+def test_a_step_with_a_number_that_is_none_fails_with_a_finite_state(rough, name):
+    lib, x, u = kernel(), rough.rest_state(), np.full(rough.nu, 0.1)
+    size = rough.model.arrays[1 if name == "par" else 2].size
+    failures = 0
+    for index in range(size):
+        model, x_next, info = spoilt(rough, name, index, np.nan), np.full(rough.nx, np.nan), Info()
+        failed = lib.dp_step(model, x, u, x_next, ctypes.byref(info))
+        failures += failed
+        assert failed == info.failed and np.isfinite(x_next).all()
+        states = np.concatenate([[x], np.full((2, rough.nx), np.nan)])
+        lib.dp_rollout(model, 2, np.tile(u, (2, 1)), states, None)
+        assert np.isfinite(states).all()
+        # heights that the body is not near do not take part
+        assert failed or index >= HEADER
+    assert failures > HEADER if name == "terrain" else failures == size
+
+
+def test_a_model_without_a_body_is_refused_and_nothing_is_written(rough):
+    lib, x, u = kernel(), rough.rest_state(), np.full(rough.nu, 0.1)
+    for index, value in [(0, 0.0), (2, np.nan), (2, 1e300), (3, -1.0), (3, 1e300), (4, np.nan)]:
+        x_next = np.full(rough.nx, 7.0)
+        model = spoilt(rough, "body", index, value)
+        assert lib.dp_step(model, x, u, x_next, ctypes.byref(Info())) == 1
+        assert (x_next == 7.0).all()
+        states = np.full((3, rough.nx), 7.0)
+        assert lib.dp_rollout(model, 2, np.tile(u, (2, 1)), states, None) == 2
+        assert (states == 7.0).all()
+
+
+def test_a_spin_beyond_half_a_turn_a_substep_is_divided_until_it_is_none(small_fish):
+    dynamics = ReducedDynamics(small_fish, 0.04, substeps=2)
+    for spin, division in ((150.0, 1), (200.0, 2), (390.0, 4)):  # rad/s; a substep is 0.02 s
+        x = dynamics.rest_state()
+        x[12 + small_fish.n_modes] = spin
+        _, info = dynamics.step_info(x, np.zeros(dynamics.nu))
+        assert info.failed or info.division >= division
+
+
+def test_a_clearance_that_is_no_number_is_not_called_free(rough):
+    geoms = (Geom * 1)()
+    geoms[0].type, geoms[0].size[0], geoms[0].mat[:] = 2, 0.1, np.eye(3).ravel()
+    x = rough.rest_state()
+    assert kernel().dp_clearance(rough.blob, x, 1, geoms, 1.0, None, None) <= 1.0
+    x[0] = np.nan
+    assert np.isnan(kernel().dp_clearance(rough.blob, x, 1, geoms, 1.0, None, None))

@@ -39,7 +39,7 @@ enum { DP_VARIATIONAL, DP_IMPLICIT_EULER };
 enum { DP_MAX_SUBSTEPS = 64, DP_MAX_DIVISION = 64 }; /* of a step; how far a substep is divided if need be */
 /* Multiplications, about, that a step is given before it fails: so that any input, however absurd, is answered
  * within 100 ms of processor time, and that the answer does not depend on the machine. */
-enum { DP_MAX_WORK = 200000000 };
+enum { DP_MAX_WORK = 150000000 };
 enum { DP_MAX_MODES = 16, DP_MAX_BASIS = 64, DP_MAX_SAMPLES = 40, DP_MAX_POINTS = 512 };
 enum { DP_MAX_CONTACTS = 192, DP_MAX_FEET = 16, DP_MAX_INPUT = DP_MAX_MODES + 3 * DP_MAX_FEET };
 
