@@ -36,8 +36,8 @@ PACKAGED = {
         lambda: environments.packaged_gait("tee_gait"),
     ),
 }
-SLIP = {"quadruped": 0.2, "tee": 0.35}  # of the way walked, at most
-STAGES = Walking(starts=2, alone=((2, 12, 1), (3, 4, 1)), rounds=((2, 4, 6),), repairs=0)
+SLIP = {"quadruped": 0.3, "tee": 0.35}  # of the way walked, at most
+STAGES = Walking(starts=2, alone=((2, 12, 1), (3, 4, 1)), rounds=((2, 4, 14),), repairs=0)
 QUICK = Shooting(walking=STAGES)
 
 
