@@ -170,8 +170,8 @@ def surface_of(body: Body):
 
 def state(pose: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return a state of that pose; what else it says is random, so every bit of it counts."""
-    shape, velocity = rng.normal(size=MODES), rng.normal(size=6 + 2 * MODES)  # and the last target
-    return np.concatenate([pose, shape, velocity])
+    shape, velocity = rng.normal(size=MODES), rng.normal(size=6 + MODES)
+    return np.concatenate([pose, shape, velocity, 0.7 * shape[::-1]])
 
 
 def record_episode(

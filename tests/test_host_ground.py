@@ -64,12 +64,12 @@ def test_steps_on_the_ground_equal_the_python_face_to_the_bit(dynamics):
     model = _physics(Terrain()).model.ptr
     data, generator = mujoco.MjData(model), np.random.default_rng(0)
     x, carried = dynamics.rest_state(), 0
-    data.qpos[:], data.qvel[:] = x[: model.nq], x[model.nq :]
+    data.qpos[:], data.qvel[:], data.act[:] = np.split(x, [model.nq, model.nq + model.nv])
     for control in 0.4 * np.sin(np.cumsum(generator.normal(0, 0.3, (100, dynamics.nu)), axis=0)):
         data.ctrl[:] = control
         mujoco.mj_step(model, data)
         x = dynamics.step(x, samples.walker().amplitude * control)
-        assert np.array_equal(np.concatenate([data.qpos, data.qvel]), x)
+        assert np.array_equal(np.concatenate([data.qpos, data.qvel, data.act]), x)
         carried += dynamics.contacts(x).total[2] > 0
     assert carried > 50  # the feet were on the ground
 

@@ -39,7 +39,7 @@ def _in_a_room() -> Physics:
 
 def _seen(physics: Physics, quaternion: np.ndarray) -> dict[str, np.ndarray]:
     with physics.reset_context():
-        state = np.zeros(13 + 2 * physics.n_modes)
+        state = np.zeros(13 + 3 * physics.n_modes)
         state[:3], state[3:7] = [0.5, -0.3, 0.2], quaternion
         state[7:12], state[12:15] = 0.2, [0.3, -0.4, 0.5]  # bent, and under way
         physics.set_reduced_state(state)
@@ -83,7 +83,7 @@ def test_turning_world_and_body_alike_changes_nothing_but_the_attitude():
         turned = np.column_stack([turn.apply(balls[:, :3]), balls[:, 3]])
         with physics.reset_context():
             physics.set_scene(samples.spheres(turned, turn.apply(target)))
-            state = np.zeros(13 + 2 * r)
+            state = np.zeros(13 + 3 * r)
             state[3:7] = _quaternion(turn * Rotation.from_rotvec([0.3, 0.5, -0.2]))
             state[7 + r : 10 + r] = turn.apply(velocity)
             physics.set_reduced_state(state)
@@ -111,13 +111,13 @@ def test_a_body_tumbled_through_all_attitudes_keeps_the_kernels_bits():
         spin = generator.normal(size=3)
         x[10 + dynamics.nu : 13 + dynamics.nu] = 12 * spin / np.linalg.norm(spin)  # rad/s
         mujoco.mj_resetData(model, data)
-        data.qpos[:], data.qvel[:] = x[: model.nq], x[model.nq :]
+        data.qpos[:], data.qvel[:], data.act[:] = np.split(x, [model.nq, model.nq + model.nv])
         for control in np.sin(np.cumsum(generator.normal(0, 0.4, (40, dynamics.nu)), axis=0)):
             data.ctrl[:] = control
             mujoco.mj_step(model, data)
             x, info = dynamics.step_info(x, body.amplitude * control)
             assert not info.failed
-            assert np.array_equal(np.concatenate([data.qpos, data.qvel]), x)
+            assert np.array_equal(np.concatenate([data.qpos, data.qvel, data.act]), x)
             axes.append(Rotation.from_quat(x[3:7], scalar_first=True).as_matrix())
             signs.add(np.sign(x[3]))
     assert data.warning.number.sum() == 0 and signs == {-1, 1}

@@ -145,7 +145,7 @@ def test_the_cost_of_going_on_is_that_of_the_algebraic_riccati_equation():
 def pushed(feedback: Ilqg, seed: int) -> np.ndarray:
     """A state beside the mean cycle of gait 1."""
     rng = np.random.default_rng(seed)
-    z = rng.normal(size=22) * np.r_[np.full(6, 0.2), np.full(5, 0.3), np.full(11, 0.3)]
+    z = rng.normal(size=27) * np.r_[np.full(6, 0.2), np.full(5, 0.3), np.full(11, 0.3), np.zeros(5)]
     return tangent.retract(feedback.cycles[1].states[0], z)
 
 
@@ -160,7 +160,7 @@ def test_the_derivative_of_the_cost_is_that_of_finite_differences(feedback):
     rng = np.random.default_rng(1)
     u, direction = 0.5 * rng.normal(size=(5, 5)), rng.normal(size=(5, 5))
     x = model.dynamics.rollout(x0, u)
-    off, slope, wanted = cost.expanded(model, x[1:])[0], np.zeros(22), 0.0
+    off, slope, wanted = cost.expanded(model, x[1:])[0], np.zeros(27), 0.0
     for i in range(4, -1, -1):
         a, b = model.jacobian(x[i], u[i], x[i + 1])
         slope = slope + off[i]
@@ -180,7 +180,7 @@ def test_no_iteration_raises_the_cost_and_some_lower_it(feedback, seed):
     cost, x0 = problem(feedback), pushed(feedback, seed)
     plan = optimise(feedback.model, cost, x0, cost.controls, feedback.bound, 8)
     assert len(plan.costs) == 9
-    assert (np.diff(plan.costs) <= 0).all() and plan.costs[-1] < 0.9 * plan.costs[0]
+    assert (np.diff(plan.costs) <= 0).all() and plan.costs[-1] < 0.95 * plan.costs[0]
     again = feedback.model.dynamics.rollout(x0, plan.controls)
     np.testing.assert_allclose(again, plan.states, atol=1e-6)
     assert plan.costs[-1] == pytest.approx(cost.value(feedback.model, again[1:], plan.controls))
@@ -194,11 +194,11 @@ def test_a_step_is_guessed_to_second_order_and_guesses_change_nothing(feedback):
     for i in range(4):
         after = model.step(guide.before[i], guide.controls[i])
         np.testing.assert_allclose(guide.after[i], after, atol=1e-6)
-    x, z, errors = guide.before, np.random.default_rng(2).normal(size=27), []
+    x, z, errors = guide.before, np.random.default_rng(2).normal(size=32), []
     pairs = zip(*map(model.jacobian, x, guide.controls, guide.after), strict=True)
     about = Guide(x, guide.after, guide.controls, *pairs)
     for size in (1e-2, 1e-3):
-        beside, u = tangent.retract(x[1], size * z[:22]), guide.controls[1] + size * z[22:]
+        beside, u = tangent.retract(x[1], size * z[:27]), guide.controls[1] + size * z[27:]
         guess = about.guess(model, 1, tangent.difference(beside, x[1]), u)
         errors.append(np.abs(guess - model.step(beside, u)).max())
     assert errors[1] < 0.02 * errors[0] and errors[0] < 0.05
@@ -213,9 +213,9 @@ def test_a_step_is_guessed_to_second_order_and_guesses_change_nothing(feedback):
 def test_a_body_on_the_mean_cycle_nearly_plays_the_dmp_as_it_is(feedback, fish_gait):
     for task, cycle in enumerate(feedback.cycles):
         feedback.reset()
-        _, shapes = drive(feedback.model.dynamics, feedback, [task], 11, cycle.states[0])
+        _, shapes = drive(feedback.model.dynamics, feedback, [task], 32, cycle.states[0])
         more = (shapes - fish_gait.table()[task]) / fish_gait.amplitude
-        assert np.abs(more).max() < 0.1
+        assert np.abs(more).max() < 0.12
 
 
 def test_a_decision_does_not_depend_on_place_and_heading(fish_dynamics, fish_gait, feedback):
@@ -224,7 +224,7 @@ def test_a_decision_does_not_depend_on_place_and_heading(fish_dynamics, fish_gai
     shapes = []
     for start in (x, frame.outside(x)):
         feedback.reset()
-        shapes.append(drive(fish_dynamics, feedback, [1, 2], 11, start)[1])
+        shapes.append(drive(fish_dynamics, feedback, [1, 2], 32, start)[1])
     np.testing.assert_allclose(shapes[0], shapes[1], atol=1e-4)
 
 
@@ -238,19 +238,19 @@ def test_in_space_a_decision_does_not_depend_on_any_attitude(fish_dynamics, fish
     runs = []
     for start in (x, frame.outside(x)):
         feedback.reset()
-        runs.append(drive(weightless, feedback, [1, 2], 11, start))
+        runs.append(drive(weightless, feedback, [1, 2], 32, start))
     np.testing.assert_allclose(runs[0][1], runs[1][1], atol=1e-4)
     # and it turns a body that was struck on its way back into its course
     cycle, off = feedback.cycles[1], []
-    spin = np.zeros(22)
+    spin = np.zeros(27)
     spin[14:17] = 1.0, -1.0, 1.0
     for one in (OpenLoop(fish_gait), feedback):
         one.reset()
         end = drive(
-            weightless, one, [1] * 4, 11, cycle.states[0],
-            lambda i, x: tangent.retract(x, spin) if i == 5 else x,
+            weightless, one, [1] * 4, 32, cycle.states[0],
+            lambda i, x: tangent.retract(x, spin) if i == 14 else x,
         )[0][-1]  # fmt: skip
-        wanted = cycle.unrolled(44)[-1]
+        wanted = cycle.unrolled(128)[-1]
         off.append(np.linalg.norm(tangent.difference(end, wanted)[3:6]))
     assert off[1] < 0.3 * off[0]
 

@@ -456,14 +456,16 @@ def supple_walker() -> Body:
 
 @pytest.mark.parametrize(
     ("walker", "speed", "centre", "shape"),
-    [("small_walker", 0.0, 0.01, 0.005), ("supple_walker", 1.0, 0.01, 0.006)],
+    [("small_walker", 0.0, 0.015, 0.01), ("supple_walker", 1.0, 0.015, 0.01)],
     ids=["dropped", "thrown"],
 )
 def test_a_body_in_contact_follows_the_full_fem(walker, speed, centre, shape, request):
     body = request.getfixturevalue(walker)
     terrain = Terrain(slip_speed=0.05)
-    reduced = ReducedDynamics(body, H, terrain, substeps=4)
-    full = FullFem(body, H, False, terrain, substeps=4)
+    # implicit Euler takes the bounce, which is a matter of the subspace: what is compared is contact
+    euler = {"integrator": "implicit-euler", "substeps": 1}
+    reduced = ReducedDynamics(body, H, terrain, **euler)
+    full = FullFem(body, H, False, terrain, **euler)
     x0 = reduced.rest_state()
     r = body.n_modes
     x0[7 : 7 + r], x0[2] = 0.0, 0.1 - body.vertices[:, 2].min()

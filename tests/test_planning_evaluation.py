@@ -110,16 +110,16 @@ def test_the_recorder_hears_every_step_and_cycle(env):
     note, planner = Note(), Fixed(0)
     episode = run_episode(env, scenes()[0], planner, note, {"task": "test"})
     context, scene = note.begun
-    assert context["task"] == "test" and context["timestep"] == 0.04
-    assert context["state"].shape == (23,) and scene.max_cycles == 12
-    assert len(note.steps) == round(episode.seconds / 0.04)
+    assert context["task"] == "test" and context["timestep"] == 0.01375
+    assert context["state"].shape == (28,) and scene.max_cycles == 12
+    assert len(note.steps) == round(episode.seconds / 0.01375)
     assert len(note.cycles) == episode.cycles == len(planner.observations)
     assert np.array_equal(note.cycles[0][2], context["state"])
     for i, (index, time, x, gait, _, _, laser) in enumerate(note.cycles):
         assert index == i and gait == 0 and np.isclose(time, i * 0.44)
         assert np.array_equal(laser, planner.observations[i]["laser"])
         if i:
-            assert np.array_equal(x, note.steps[11 * i - 1][1])
+            assert np.array_equal(x, note.steps[32 * i - 1][1])
     assert note.ended[0] == "success" and "reached the target" in note.ended[1]
     assert env.task.step_hook is None
 

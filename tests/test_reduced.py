@@ -182,7 +182,13 @@ def test_a_rollout_that_cannot_be_solved_is_an_error_and_stays_finite_where_it_w
 
 
 def test_a_body_too_large_for_the_kernel_is_refused(small_fish):
-    many = replace(small_fish, drag_areas=np.ones(513))
+    k = small_fish.n_basis
+    many = replace(
+        small_fish,
+        drag_points=np.zeros((513, 3, k + 1)),
+        drag_tangents=np.ones((2, 513, 3, k + 1)),
+        drag_areas=np.ones(513),
+    )
     with pytest.raises(DefplanError, match="513 drag points, the kernel takes at most 512"):
         ReducedDynamics(many)
 
