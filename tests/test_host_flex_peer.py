@@ -40,7 +40,7 @@ def test_elastic_energy_is_the_materials(kind, strain):
     data.qpos[:] = np.einsum("ji,ji->j", places @ strain, model.jnt_axis)
     mujoco.mj_forward(model, data)
     energy = -0.5 * (data.qfrc_passive - at_rest) @ data.qpos
-    young, poisson = body.material.youngs_modulus, body.material.poissons_ratio
+    young, poisson = body.mesh_material.youngs_modulus, body.material.poissons_ratio
     lame, shear = young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / 2 / (1 + poisson)
     density = 0.5 * lame * np.trace(strain) ** 2 + shear * (strain**2).sum()
     volume = body.mass / body.material.density

@@ -91,7 +91,7 @@ def test_laser_equals_circles_on_paper():
     for _ in range(12):
         yaw = generator.uniform(-np.pi, np.pi)
         position = generator.uniform(-1.5, 1.5, 3)
-        state = np.zeros(13 + 2 * physics.n_modes)
+        state = np.zeros(13 + 3 * physics.n_modes)
         state[:3], state[3], state[6] = position, np.cos(yaw / 2), np.sin(yaw / 2)
         physics.set_reduced_state(state)
         physics.forward()

@@ -18,7 +18,7 @@ SIZE = (128, 96)
 @pytest.fixture(scope="module")
 def states() -> np.ndarray:
     dynamics = samples.dynamics()
-    return dynamics.rollout(dynamics.rest_state(), np.tile(samples.gait().table()[0], (1, 1)))
+    return dynamics.rollout(dynamics.rest_state(), 0.4 * samples.gait().table()[0])
 
 
 def _orange(frame: np.ndarray) -> np.ndarray:

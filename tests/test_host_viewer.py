@@ -79,7 +79,7 @@ def test_navigate_is_shown_at_every_physics_step(window):
 def test_swim_is_shown_at_every_step(window):
     environment = suite.load("fish", "swim", task_kwargs={"body": samples.fish()})
     viewer.view(environment, lambda _: np.zeros(5), speed=1000)
-    assert window.synced == 25 and environment.physics.time() == pytest.approx(25 * 0.04)
+    assert window.synced == 25 and environment.physics.time() == pytest.approx(25 * 0.01375)
 
 
 def test_outcomes_of_whole_episodes_are_returned(window):
