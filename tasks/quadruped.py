@@ -89,7 +89,7 @@ RUN = dataclasses.replace(
     gait_tasks=walking.walking_tasks(1.0),
     weights=dataclasses.replace(walking.WEIGHTS, slip=0.1),
     feedback="ilqg",
-    shipped=environments.shipped("quadruped_walker_body", "quadruped_run_gait"),
+    shipped=None,  # its gaits are not trained anew yet for the variational step
 )
 
 SUITE = containers.TaggedTasks()

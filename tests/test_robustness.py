@@ -21,7 +21,6 @@ from defplan_solvers.open_loop import SOLVER as NONE
 ASSETS = Path(__file__).parents[1] / "tasks" / "assets"
 PACKAGED = {
     "quadruped-walk": ("quadruped_walker_body", "quadruped_walker_gait"),
-    "quadruped-run": ("quadruped_walker_body", "quadruped_run_gait"),
     "tee-walk": ("tee_body", "tee_gait"),
 }
 AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
