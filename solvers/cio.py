@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
-from defplan_mj.task import Progress, no_progress
 from defplan_solvers import cio_start, shooting
 from defplan_solvers.alternating import Fit
 from defplan_solvers.cio_model import Walker, walker_of
