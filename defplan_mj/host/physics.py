@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from dm_control.mujoco import engine, wrapper
 
+from defplan_mj.base import rotations
 from defplan_mj.host import contact, laser
 from defplan_mj.host.ground import height_above
 from defplan_mj.host.obstacles import set_scene
@@ -110,14 +111,11 @@ class Physics(engine.Physics):
 
     def yaw(self) -> float:
         """Return the heading, rad, in (-pi, pi]."""
-        rotation = self.orientation()
-        return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+        return float(rotations.heading(self.orientation()))
 
     def yaw_frame(self) -> np.ndarray:
         """Return the (3, 3) rotation by the heading about the vertical."""
-        yaw = self.yaw()
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return rotations.level_matrix(self.yaw())
 
     def frame(self) -> np.ndarray:
         """Return the (3, d) axes, as columns in the world, that planning turns with: see `space`.
