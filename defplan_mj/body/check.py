@@ -8,7 +8,7 @@ from defplan_mj.base import rotations
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.model import Body
 from defplan_mj.body.reduction import sample_shapes
-from defplan_mj.body.rotation_strain import RotationStrain, deformation
+from defplan_mj.body.rotation_strain import RotationStrain, shape_coordinates
 from defplan_mj.body.tetmesh import TetMesh, volumes
 
 _TIMESTEP, _DURATION = 0.02, 0.2  # of the released shape, s
@@ -17,8 +17,7 @@ _TIMESTEP, _DURATION = 0.02, 0.2  # of the released shape, s
 def reduced_vertices(body: Body, q: np.ndarray) -> np.ndarray:
     """Return the vertices (m, n, 3) of the shapes q (m, r) in the rest frame, m."""
     q = np.atleast_2d(q)
-    features = deformation(body.feature_map, q).reshape(len(q), -1)
-    z = features @ body.feature_weights.T
+    z = shape_coordinates(body, q)
     return body.vertices + np.einsum("nik,mk->mni", body.basis, z, optimize=True)
 
 

@@ -10,7 +10,7 @@ from defplan_mj.base import rotations, threads
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.model import Body
-from defplan_mj.body.rotation_strain import deformation
+from defplan_mj.body.rotation_strain import affine_coordinates
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.switching import roll_cycles, since_rest
@@ -94,15 +94,9 @@ def pair_moments(
     r = body.n_modes
     frame = rotations.rotation(before[:, 3:7])
     turned = frame.inv() * rotations.rotation(after[:, 3:7])
-    old, new = (_coordinates(body, x[:, 7 : 7 + r]) for x in (before, after))
+    old, new = (affine_coordinates(body, x[:, 7 : 7 + r]) for x in (before, after))
     moments = np.einsum("abij,na,nb->nij", body.moments, new, old, optimize=True)
     return turned.as_matrix() @ moments, frame.inv().apply(after[:, :3] - before[:, :3])
-
-
-def _coordinates(body: Body, q: np.ndarray) -> np.ndarray:
-    """Return zeta = (1, z(q)) (n, k + 1) of shapes q (n, r)."""
-    gradient = deformation(body.feature_map, q).reshape(len(q), -1)
-    return np.column_stack([np.ones(len(q)), gradient @ body.feature_weights.T])
 
 
 def _switch(
