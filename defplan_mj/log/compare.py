@@ -22,7 +22,7 @@ TURNING = {"planar": "heading", "spatial": "rotation"}
 
 
 @dataclass(frozen=True)
-class Episode:
+class LoggedEpisode:
     """One log of a comparison.
 
     Attributes:
@@ -84,7 +84,7 @@ class Comparison:
     """
 
     task_names: tuple[str, ...]
-    episodes: tuple[Episode, ...]
+    episodes: tuple[LoggedEpisode, ...]
     log: np.ndarray
     gait: np.ndarray
     cycle: np.ndarray
@@ -294,11 +294,11 @@ def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def _episode(log: EpisodeLog, rows: np.ndarray) -> Episode:
+def _episode(log: EpisodeLog, rows: np.ndarray) -> LoggedEpisode:
     """Return one log's own figures; the surrogate is chained over its leading whole cycles."""
     leading = rows[rows == np.arange(len(rows))]
     truth = log.states[log.cycle_steps[: len(leading) + 1]][:, :7]
-    return Episode(
+    return LoggedEpisode(
         path=log.path,
         fault=log.fault,
         outcome=log.outcome,
