@@ -16,17 +16,20 @@ from typing import Any
 
 import numpy as np
 
-from defplan_mj import registry, threads
+from defplan_mj import registry
+from defplan_mj.base import threads
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.bench_integrators import error_against_time, integrators
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.kernel import library
+from defplan_mj.planning.outcome import Outcome
 from defplan_mj.planning.scenes import Scene, novel_scenes, training_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv
-from defplan_mj.task import Navigation, Progress, TaskSpec, no_progress
+from defplan_mj.task import Navigation, TaskSpec
 from defplan_mj.timing import Timing, measure
 
 OBSTACLES = 10
@@ -307,7 +310,7 @@ def _environment_cycles(environment: Any, repeats: int) -> Timing:
 
 def _cycle(environment: Any) -> tuple[float, float]:
     """Play a cycle, after a reset if the last episode is over; wall and simulated seconds."""
-    if environment.task.outcome != "running":
+    if environment.task.outcome != Outcome.RUNNING:
         environment.reset()
     before, start = environment.physics.time(), time.perf_counter()
     environment.step(0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.task import TaskSpec
 
 TASKS = "defplan_mj.tasks"
@@ -86,11 +86,11 @@ def get_solver(name: str, kind: str) -> Any:
 
 def _points(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of `group` by name; of two with one name, our own stays out."""
-    found: dict[str, EntryPoint] = {}
+    points: dict[str, EntryPoint] = {}
     for point in entry_points(group=group):
-        if point.name not in found or _package(found[point.name]) == "defplan":
-            found[point.name] = point
-    return found
+        if point.name not in points or _package(points[point.name]) == "defplan":
+            points[point.name] = point
+    return points
 
 
 def _package(point: EntryPoint) -> str:

@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from defplan_mj import files, registry, threads
+from defplan_mj import registry
+from defplan_mj.base import files, threads
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
-from defplan_mj.dynamics.terrain import Terrain, TerrainGeom, pack_terrain
-from defplan_mj.errors import DefplanError
+from defplan_mj.dynamics.terrain import Terrain, TerrainGeom, contact_law
 from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.switching import MAX_TILT, MIN_HEIGHT, heading, tilt, wrap
 from defplan_mj.planning.evaluation import wilson_interval
-from defplan_mj.task import Progress, no_progress
 
 if TYPE_CHECKING:
     from defplan_mj.run import Run
@@ -65,7 +66,7 @@ def conditions(push: float) -> tuple[Condition, ...]:
 
 
 @dataclass(frozen=True)
-class Walk:
+class PerturbedWalk:
     """Cycles of gaits, switched at random, in one condition.
 
     Attributes:
@@ -104,13 +105,14 @@ def world(dynamics: ReducedDynamics, condition: Condition) -> ReducedDynamics:
     """Return the dynamics as it really is in a condition."""
     terrain = dynamics.terrain
     if terrain is not None:
-        packed = pack_terrain(terrain, dynamics.body)
         half = 0.5 * condition.slope
         lean = (float(np.cos(half)), 0.0, -float(np.sin(half)), 0.0)
         terrain = replace(
             terrain,
             friction=condition.friction * terrain.friction,
-            stiffness=float(packed[2]),  # of the ground: it does not know the body's mass
+            stiffness=contact_law(
+                terrain, dynamics.body
+            ).stiffness,  # of the ground: it does not know the body's mass
             geoms=(TerrainGeom("plane", quaternion=lean),) if condition.slope else terrain.geoms,
         )
     body = heavier(dynamics.body, condition.mass) if condition.mass != 1.0 else dynamics.body
@@ -133,14 +135,14 @@ def heavier(body: Body, factor: float) -> Body:
     )
 
 
-def walk(
+def perturbed_walk(
     dynamics: ReducedDynamics,
     gait: Gait,
     solver: FeedbackSolver,
     condition: Condition,
     cycles: int = 200,
     seed: int = 0,
-) -> Walk:
+) -> PerturbedWalk:
     """Switch gaits at random in a condition that the feedback is not told of.
 
     The feedback's model is `dynamics`. It is told the state relative to the ground, which the body feels under its
@@ -191,10 +193,10 @@ def walk(
             motion[cycle] = *moved[:2], heading(moved)
             counted[cycle] = since >= SETTLE
             since += 1
-    return Walk(task, fell, counted, motion, busy / steps)
+    return PerturbedWalk(task, fell, counted, motion, busy / steps)
 
 
-def measure(
+def measure_robustness(
     dynamics: ReducedDynamics,
     gait: Gait,
     solvers: Sequence[FeedbackSolver],
@@ -215,9 +217,11 @@ def measure(
     jobs = [(condition, solver) for condition in wanted for solver in solvers]
     workers = min(threads.available_cores(), 2)
     told = (dynamics.body, dynamics.timestep, dynamics.terrain, dynamics.stepping, gait)
-    walks: list[Walk] = []
+    walks: list[PerturbedWalk] = []
     with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
-        calls = (delayed(_walk)(told, solver, where, cycles, seed) for where, solver in jobs)
+        calls = (
+            delayed(_perturbed_walk)(told, solver, where, cycles, seed) for where, solver in jobs
+        )
         for one in Parallel(return_as="generator")(calls):
             where, solver = jobs[len(walks)]
             walks.append(one)
@@ -240,17 +244,17 @@ def measure(
     return rows
 
 
-def _walk(
+def _perturbed_walk(
     told: tuple[Body, float, Terrain | None, dict[str, Any], Gait],
     solver: FeedbackSolver,
     condition: Condition,
     cycles: int,
     seed: int,
-) -> Walk:
+) -> PerturbedWalk:
     """Walk in a process of its own."""
     body, timestep, terrain, stepping, gait = told
     dynamics = ReducedDynamics(body, timestep, terrain, **stepping)
-    return walk(dynamics, gait, solver, condition, cycles, seed)
+    return perturbed_walk(dynamics, gait, solver, condition, cycles, seed)
 
 
 def study(
@@ -278,7 +282,7 @@ def study(
     path, gait = run.folder.file(FILE), run.gait
 
     def make() -> Iterable[Path]:
-        found = measure(
+        found = measure_robustness(
             run.dynamics, gait, solvers, wanted, cycles, seed, run.progress("robustness")
         )
         document = {"task": spec.name, "seed": seed, "cycles": cycles, "rows": found}

@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from defplan_mj import files, registry, threads
+from defplan_mj import registry
+from defplan_mj.base import files, threads
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.dynamics.terrain import terrain_json
 from defplan_mj.rivals import SWITCHING_CYCLES
 from defplan_mj.store import RunFolder, file_hash, read_config
-from defplan_mj.task import Progress, TaskSpec, no_progress
+from defplan_mj.task import TaskSpec
 from defplan_mj.trial import Recorders, evaluate
 
 if TYPE_CHECKING:
@@ -408,10 +410,4 @@ def open_run(
 
 def write_json(path: Path, data: Any) -> None:
     """Write `data` as JSON, atomically."""
-    files.write_text(path, json.dumps(data, indent=1, default=_plain, allow_nan=False) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise TypeError(f"cannot write a {type(value).__name__} as JSON")
+    files.write_text(path, json.dumps(data, indent=1, default=files.plain, allow_nan=False) + "\n")

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
-from defplan_mj.task import Progress, no_progress
 from defplan_solvers import cio_start, shooting
 from defplan_solvers.alternating import Fit
 from defplan_solvers.cio_model import Walker, walker_of
-from defplan_solvers.cio_newton import ContactInvariant, Walk
+from defplan_solvers.cio_newton import ContactInvariant, Iterate
 from defplan_solvers.cio_terms import Weights
 from defplan_solvers.shooting_walk import Walking
 
@@ -182,7 +182,7 @@ class Cio:
                 walker, problem, list(range(k)), [pattern] * k, self.cycles, rng
             )
             w = _together(problem, walk.w)
-            walk = Walk(walk.states, walk.forces, by_turns.dmp(walk.w), walk.w)
+            walk = Iterate(walk.states, walk.forces, by_turns.dmp(walk.w), walk.w)
             for number, stage in enumerate(self.stages):
                 weights = Weights(stage.physics, stage.contact, dmp=stage.dmp)
                 damping = np.full(k, _DAMPING)
@@ -192,7 +192,7 @@ class Cio:
                     w = fit(
                         w, walk.shapes.reshape(-1, walker.nu), stage.dmp**2 * len(walk.shapes[0])
                     )
-                    walk = Walk(walk.states, walk.forces, walk.shapes, apart(problem, w))
+                    walk = Iterate(walk.states, walk.forces, walk.shapes, apart(problem, w))
                 history.append(float(by_turns.cost(walk, weights).mean()))
                 part = (number + 1) / len(self.stages)
                 progress("gait: contact-invariant, by turns", (done + part) / len(patterns))
@@ -206,14 +206,17 @@ class Cio:
         self, walker: Walker, problem: GaitProblem, tasks: list[int]
     ) -> ContactInvariant:
         return ContactInvariant(
-            *(walker, problem, tasks, self.cycles),
+            walker,
+            problem,
+            tasks,
+            self.cycles,
             joint=self.joint,
             bound=self.bound,
             threads=self.threads,
         )
 
     def _judge(
-        self, problem: GaitProblem, optimised: ContactInvariant, walk: Walk, weights: Weights
+        self, problem: GaitProblem, optimised: ContactInvariant, walk: Iterate, weights: Weights
     ) -> Trial:
         """Simulate every walk's gait; each task keeps the one that does best."""
         believed, simulated = np.empty(len(walk.w)), np.empty(len(walk.w))

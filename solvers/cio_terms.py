@@ -11,9 +11,10 @@ from dataclasses import astuple, dataclass
 import casadi as ca
 import numpy as np
 
+from defplan_mj.dynamics.symbolic import difference_function, tangent_function
+from defplan_mj.gait import residuals
 from defplan_mj.gait.problem import GaitProblem
 from defplan_solvers.cio_model import Walker
-from defplan_solvers.trajectories import difference, retract
 
 _TURN, _SHAPE = 0.3, 0.1  # metres that one radian, and one unit of q, count in E_phys
 _TOUCH = 0.02  # share of the weight from which a foot counts as touching
@@ -86,7 +87,7 @@ def stage_function(
 ) -> ca.Function:
     """Return the residuals of one step.
 
-    (x, x_next: nx, force: 3F in weights, u: r, wanted u: r, weights) -> residuals: E_phys (nx - 1),
+    (x, x_next: nx, force: 3F in weights, u: r, target: r, weights) -> residuals: E_phys (nx - 1),
     E_cio, posture and amplitude, E_dmp (r); with `jacobian` also its transpose, over
     (x, x_next in the tangent, force, u).
 
@@ -96,19 +97,19 @@ def stage_function(
     nx, r, feet = walker.nx, walker.nu, walker.n_feet
     unit = 1 / (9.81 * walker.timestep**2)
     x, x_next = ca.MX.sym("x", nx), ca.MX.sym("x_next", nx)
-    force, u, wanted = ca.MX.sym("l", 3 * feet), ca.MX.sym("u", r), ca.MX.sym("wanted", r)
+    force, u, target = ca.MX.sym("l", 3 * feet), ca.MX.sym("u", r), ca.MX.sym("target", r)
     weights = ca.MX.sym("weights", len(Weights(0, 0).array()))
     scale, newtons = unit * state_scale(walker), walker.weight * ca.reshape(force, 3, feet)
 
     y = walker.step(x, u, newtons)
-    physics, by_next, by_y = _difference_function(nx, scale)(x_next, y)
+    physics, by_next, by_y = difference_function(nx, scale)(x_next, y)
     cio = _with_jacobian(foot_residuals(walker), (0, 1, 2))(
         walker.feet(x), walker.feet(x_next), ca.reshape(force, 3, feet), weights
     )
-    rest = _with_jacobian(_posture(walker, problem, judged), (0, 1))(x_next, u, wanted, weights)
+    rest = _with_jacobian(_posture(walker, problem, judged), (0, 1))(x_next, u, target, weights)
     outputs = [ca.vertcat(weights[0] * physics, cio[0], rest[0])]
     if jacobian:
-        tangent = _tangent_function(nx)
+        tangent = tangent_function(nx)
         t, t_next = tangent(x), tangent(x_next)
         step_x, step_u, step_f = walker.step.jacobian()(x, u, newtons, y)
         feet_x, feet_next = (walker.feet.jacobian()(at, walker.feet(at)) for at in (x, x_next))
@@ -123,77 +124,46 @@ def stage_function(
             ca.MX(n_rest, nx - 1), rest[1] @ t_next, ca.MX(n_rest, 3 * feet), rest[2]
         )
         outputs.append(ca.densify(ca.vertcat(first, second, third)))
-    return ca.Function("stage", [x, x_next, force, u, wanted, weights], outputs)
+    return ca.Function("stage", [x, x_next, force, u, target, weights], outputs)
 
 
 def _posture(walker: Walker, problem: GaitProblem, judged: int) -> ca.Function:
-    """(x_next, u, wanted u, weights) -> E_obj's tilt of a step, bound of u, E_dmp."""
+    """(x_next, u, target, weights) -> E_obj's tilt of a step, bound of u, E_dmp."""
     x, weights = ca.SX.sym("x", walker.nx), ca.SX.sym("weights", len(Weights(0, 0).array()))
-    u, wanted = ca.SX.sym("u", walker.nu), ca.SX.sym("wanted", walker.nu)
+    u, target = ca.SX.sym("u", walker.nu), ca.SX.sym("target", walker.nu)
     share = weights[7] / np.sqrt(problem.steps_per_cycle * judged)
-    # squared tilt 2 (1 - R_zz), to second order, as in the problem's E_obj
-    lean = ca.fmax(0, 4 * ca.sumsqr(x[4:6]) - np.radians(15) ** 2)
     rows = [
-        share * np.sqrt(problem.weights.tilt) * 2 * x[4:6],
-        share * np.sqrt(problem.weights.upright) * lean,
+        share * np.sqrt(problem.weights.tilt) * residuals.tilt(x),
+        share * np.sqrt(problem.weights.upright) * residuals.lean(x),
         weights[5] * ca.fmax(0, ca.fabs(u) / walker.amplitude - 1),
-        weights[6] * (u - wanted),
+        weights[6] * (u - target),
     ]
-    return ca.Function("posture", [x, u, wanted, weights], [ca.vertcat(*rows)])
+    return ca.Function("posture", [x, u, target, weights], [ca.vertcat(*rows)])
 
 
 def cycle_function(problem: GaitProblem, nx: int, judged: int, jacobian: bool) -> ca.Function:
     """Return the residuals of a cycle's motion in E_obj.
 
-    (x at its start, x at its end: nx, wanted: 7, objective's weight) -> (yaw, shortfall, drift, sink),
+    (x at its start, x at its end: nx, goal: 7, objective's weight) -> (yaw, shortfall, drift, sink),
     with `jacobian` also over both states, in the tangent.
     """
-    start, end, wanted = ca.SX.sym("x", nx), ca.SX.sym("x_end", nx), ca.SX.sym("wanted", 7)
+    start, end, goal = ca.SX.sym("x", nx), ca.SX.sym("x_end", nx), ca.SX.sym("goal", 7)
     weight, weights = ca.SX.sym("weight"), problem.weights
-    ahead, ahead_end = (_heading(x) for x in (start, end))
-    yaw = ca.atan2(ahead[0] * ahead_end[1] - ahead[1] * ahead_end[0], ca.dot(ahead, ahead_end))
-    ahead = ahead / ca.sqrt(ca.sumsqr(ahead) + 1e-12)
-    move = end[:3] - start[:3]
-    moved = ca.vertcat(ca.dot(ahead, move[:2]), ahead[0] * move[1] - ahead[1] * move[0])
-    direction, advance = wanted[3:5], wanted[6]
-    along = ca.dot(direction, moved)
+    ends = residuals.planar(start, end, goal[:3], goal[3:6], goal[6])
     rows = [
-        np.sqrt(weights.turn) * (yaw - wanted[2]),
-        np.sqrt(weights.move) * ca.fmax(0, advance - along),
-        np.sqrt(weights.drift) * (moved - along * direction),
-        np.sqrt(weights.sink) * move[2],
+        np.sqrt(weights.turn) * ends.turn,
+        np.sqrt(weights.move) * ends.shortfall,
+        np.sqrt(weights.drift) * ends.drift,
+        np.sqrt(weights.sink) * ends.rise,
     ]
     r = weight / np.sqrt(judged) * ca.vertcat(*rows)
-    value = ca.Function("cycle", [start, end, wanted, weight], [r])
+    value = ca.Function("cycle", [start, end, goal, weight], [r])
     if not jacobian:
         return value
-    _, by_start, by_end = _with_jacobian(value, (0, 1))(start, end, wanted, weight)
-    tangent = _tangent_function(nx)
+    _, by_start, by_end = _with_jacobian(value, (0, 1))(start, end, goal, weight)
+    tangent = tangent_function(nx)
     both = ca.horzcat(by_start @ tangent(start), by_end @ tangent(end))
-    return ca.Function("cycle", [start, end, wanted, weight], [r, ca.densify(both)])
-
-
-def _heading(x: ca.SX) -> ca.SX:
-    """The body's x axis, as the ground sees it."""
-    w, a, b, c = (x[3 + i] for i in range(4))
-    return ca.vertcat(1 - 2 * (b * b + c * c), 2 * (a * b + w * c))
-
-
-def _difference_function(nx: int, scale: np.ndarray) -> ca.Function:
-    """(a, b) -> scale times the tangent step from b to a; its Jacobians, over a's tangent and b."""
-    a, b, da = ca.SX.sym("a", nx), ca.SX.sym("b", nx), ca.SX.sym("da", nx - 1)
-    step = scale * difference(retract(a, da), b)
-    outputs = [step, ca.jacobian(step, da), ca.jacobian(step, b)]
-    return ca.Function(
-        "difference", [a, b], [ca.substitute(out, da, ca.DM.zeros(nx - 1)) for out in outputs]
-    )
-
-
-def _tangent_function(nx: int) -> ca.Function:
-    """x -> derivative of the state by a tangent step (nx x (nx - 1))."""
-    x, dx = ca.SX.sym("x", nx), ca.SX.sym("dx", nx - 1)
-    by = ca.substitute(ca.jacobian(retract(x, dx), dx), dx, ca.DM.zeros(nx - 1))
-    return ca.Function("tangent", [x], [by])
+    return ca.Function("cycle", [start, end, goal, weight], [r, ca.densify(both)])
 
 
 def _with_jacobian(function: ca.Function, over: tuple[int, ...]) -> ca.Function:

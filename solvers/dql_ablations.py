@@ -14,18 +14,20 @@ from dataclasses import replace
 import numpy as np
 
 from defplan_mj import registry
+from defplan_mj.base.progress import no_progress
 from defplan_mj.planning.observation import Senses
+from defplan_mj.planning.outcome import SUCCESS, TIMEOUT
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.planning.surrogate_env import SUCCESS, TIMEOUT, run_on_surrogate
-from defplan_mj.task import Navigation, no_progress
+from defplan_mj.planning.surrogate_env import run_on_surrogate
+from defplan_mj.task import Navigation
 from defplan_solvers.dql_training import Recipe, train
 
 CHANGES: dict[str, dict] = {
     "the recipe": {},
     "no progress in the reward": {"reward": "goal"},
     "raw Eq. 2": {"reward": "eq2"},
-    "K2 scenes only": {"k2_only": True},
+    "training targets only": {"k2_only": True},
     "1-step returns": {"n_steps": 1},
     "8-step returns": {"n_steps": 8},
     "discount 0.9": {"discount": 0.9},
@@ -81,7 +83,11 @@ def main() -> None:
     navigation = registry.get_task(options.task).navigation
     surrogate = Surrogate.load(options.surrogate)
     budget = Recipe(transitions=options.transitions, buffer=options.transitions, checkpoints=4)
-    print("| changed | seed | K2 | novel | novel, time-outs | CPU, s |\n" + "| --- " * 6 + "|")
+    print(
+        "| changed | seed | training targets | unseen scenes | unseen scenes, time-outs | CPU, s |\n"
+        + "| --- " * 6
+        + "|"
+    )
     for name, change in CHANGES.items():
         for seed in range(options.seeds):
             row = ablate(surrogate, navigation, seed, replace(budget, **change))

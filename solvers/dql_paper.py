@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.task import Navigation, Progress, no_progress
+from defplan_mj.task import Navigation
 from defplan_solvers.policy_files import load_policy, save_policy
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ class DqlPaperSolver:
 
     kind = "planner"
     name = "dql-paper"
-    summary = "deep Q-learning as in the paper: pretrained CNN, RMSProp, raw Eq. 2, fixed K2 scenes"
+    summary = "deep Q-learning as in the paper: pretrained CNN, RMSProp, raw Eq. 2, fixed training targets"
     needs_training = True
 
     def __init__(self, configuration: PaperConfiguration = PaperConfiguration()) -> None:

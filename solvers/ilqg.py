@@ -190,10 +190,10 @@ class Ilqg:
         here = Frame.of(x, self._level, self._depth)
         if self._frame is not None and self._track is not None:
             course = self._frame.then(self._track.motion).quaternion
-            error = 2 * tangent.rotations(here.quaternion).T @ course
+            error = 2 * tangent.attitude_tangent(here.quaternion).T @ course
             error *= 1.0 if here.quaternion @ course >= 0 else -1.0
             error *= min(1.0, self.options.leash / max(float(np.linalg.norm(error)), 1e-12))
-            turned = here.quaternion + tangent.rotations(here.quaternion) @ (0.5 * error)
+            turned = here.quaternion + tangent.attitude_tangent(here.quaternion) @ (0.5 * error)
             here = Frame(here.position, turned / np.linalg.norm(turned))
         self._frame, self._track, self._next = here, self.tracks[task], 0
         self._guide = None  # it is told from the old frame
@@ -206,16 +206,20 @@ class Ilqg:
         self._next += 1
         weights = track.weights[i + 1 : i + 1 + ahead].copy()
         weights[-1] = track.onward[i + ahead]
-        wanted = track.controls[i : i + ahead]
-        cost = Cost(track.states[i + 1 : i + 1 + ahead], weights, wanted, self.effort)
-        start = wanted + self._more
+        reference = track.controls[i : i + ahead]
+        cost = Cost(track.states[i + 1 : i + 1 + ahead], weights, reference, self.effort)
+        start = reference + self._more
         plan = optimise(
-            *(self.model, cost, self._frame.inside(x), start, self.bound),
+            self.model,
+            cost,
+            self._frame.inside(x),
+            start,
+            self.bound,
             self.options.iterations,
             self._guide,
         )
         self.costs = plan.costs
-        self._more[:-1] = (plan.controls - wanted)[1:]
+        self._more[:-1] = (plan.controls - reference)[1:]
         self._more[-1] = 0.0
         self._guide = plan.guide
         return plan.controls[0]

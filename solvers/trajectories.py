@@ -13,24 +13,16 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
-from defplan_mj.gait.costs import quaternion_product
+from defplan_mj.dynamics.symbolic import (
+    difference_function,
+    retract,
+    retract_function,
+    tangent_function,
+)
 from defplan_mj.gait.problem import GaitProblem
 
 _TRIALS = 8  # of the damping, before Newton gives up
 _TURN, _SHAPE = 0.3, 0.1  # metres that one radian, and one unit of q, count in a residual
-
-
-def retract(x: ca.SX, step: ca.SX) -> ca.SX:
-    """Move a state by a tangent step (nx - 1): rotation vectors in the body frame."""
-    turn = ca.vertcat(1, step[3:6] / 2)
-    quat = quaternion_product(x[3:7], turn)
-    return ca.vertcat(x[:3] + step[:3], quat / ca.norm_2(quat), x[7:] + step[6:])
-
-
-def difference(a: ca.SX, b: ca.SX) -> ca.SX:
-    """Tangent step from state b to state a; rotation by twice the sine of half the angle's vector."""
-    turn = quaternion_product(ca.vertcat(b[3], -b[4:7]), a[3:7])
-    return ca.vertcat(a[:3] - b[:3], 2 * ca.sign(turn[0]) * turn[1:4], a[7:] - b[7:])
 
 
 class Compiled:
@@ -78,7 +70,7 @@ class Trajectories:
         mode = ("thread", threads) if threads > 1 else ()
         self._stage = Compiled(self._stage_function(False).map(self.total, *mode))
         self._stage_jacobian = Compiled(self._stage_function(True).map(self.total, *mode))
-        self._retract = Compiled(self._retract_function().map(self.total))
+        self._retract = Compiled(retract_function(self.nx).map(self.total))
         judged = len(sequences) * (len(sequences[0]) - settle)
         value, derivatives, pattern = self._cycle_functions(judged)
         self._cycle, self._cycle_derivatives = (
@@ -88,23 +80,9 @@ class Trajectories:
 
     def _stage_function(self, jacobian: bool) -> ca.Function:
         """(x, u, x_next) -> scaled residual x_next - f(x, u) [and its Jacobians, in the tangent]."""
-        nx, nt, r = self.nx, self.nt, self.r
+        nx, r = self.nx, self.r
         step = self.problem.casadi_dynamics.step
-        a, b, da = ca.SX.sym("a", nx), ca.SX.sym("b", nx), ca.SX.sym("da", nt)
-        zero = ca.DM.zeros(nt)
-        residual = self.scale * difference(retract(a, da), b)
-        compare = ca.Function(
-            "difference",
-            [a, b],
-            [
-                ca.substitute(residual, da, zero),
-                ca.substitute(ca.jacobian(residual, da), da, zero),
-                ca.substitute(ca.jacobian(residual, b), da, zero),
-            ],
-        )
-        tangent = ca.Function(
-            "tangent", [a], [ca.substitute(ca.jacobian(retract(a, da), da), da, zero)]
-        )
+        compare, tangent = difference_function(nx, self.scale), tangent_function(nx)
         x, u, x_next = ca.MX.sym("x", nx), ca.MX.sym("u", r), ca.MX.sym("x_next", nx)
         y = step(x, u)
         value, by_next, by_y = compare(x_next, y)
@@ -114,24 +92,20 @@ class Trajectories:
             outputs += [ca.densify(ca.horzcat(by_y @ (by_x @ tangent(x)), by_y @ by_u, by_next))]
         return ca.Function("stage", [x, u, x_next], outputs)
 
-    def _retract_function(self) -> ca.Function:
-        x, step = ca.SX.sym("x", self.nx), ca.SX.sym("step", self.nt)
-        return ca.Function("retract", [x, step], [retract(x, step)])
-
     def _cycle_functions(self, judged: int) -> tuple[ca.Function, ca.Function, ca.Sparsity]:
         """E_obj of one cycle by its states (nx, n + 1), start first: value; gradient and Hessian."""
         n, nt = self.n, self.nt
         x, step = ca.SX.sym("x", self.nx, n + 1), ca.SX.sym("step", nt, n + 1)
-        wanted = ca.SX.sym("wanted", 7)
+        goal = ca.SX.sym("goal", 7)
         moved = ca.horzcat(*(retract(x[:, i], step[:, i]) for i in range(n + 1)))
-        cost = self.problem.cycle_cost(moved[:, 0], moved[:, 1:], wanted) / judged
+        cost = self.problem.cycle_cost(moved[:, 0], moved[:, 1:], goal) / judged
         hessian, gradient = ca.hessian(cost, ca.vec(step))
         zero = ca.DM.zeros(nt, n + 1)
         at = [ca.substitute(value, step, zero) for value in (cost, gradient, hessian)]
-        value = ca.Function("cycle", [x, wanted], at[:1])
+        value = ca.Function("cycle", [x, goal], at[:1])
         return (
             value,
-            ca.Function("cycle", [x, wanted], [ca.densify(at[1]), at[2]]),
+            ca.Function("cycle", [x, goal], [ca.densify(at[1]), at[2]]),
             at[2].sparsity(),
         )
 
@@ -153,7 +127,7 @@ class Trajectories:
                 tasks.append(sequence[c])
         self._cycle_states = np.array(starts)[:, None] + np.arange(-1, n)  # -1: the state before
         self._first = np.array(starts) % steps == 0
-        self._wanted = self.problem.wanted.T[tasks]
+        self._goals = self.problem.goals.T[tasks]
         self._cycle_index = np.where(
             self._first[:, None, None] & (np.arange(n + 1) == 0)[None, :, None],
             -1,
@@ -201,25 +175,30 @@ class Trajectories:
         blocks[self._first, 0] = self.rest
         return blocks.reshape(-1, self.nx)
 
-    def parts(self, states: np.ndarray, shapes: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    def parts(self, states: np.ndarray, shapes: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Return E_phys, E_obj and E_dmp (means over steps, without weights)."""
         (residual,) = self._stage(self._before(states), shapes, states)
-        (costs,) = self._cycle(self._cycles(states), self._wanted)
-        dmp = ((shapes - wanted) ** 2).sum()
+        (costs,) = self._cycle(self._cycles(states), self._goals)
+        dmp = ((shapes - targets) ** 2).sum()
         return np.array([(residual**2).sum() / self.total, costs.sum(), dmp / self.total])
 
     def system(
-        self, states: np.ndarray, shapes: np.ndarray, wanted: np.ndarray, physics: float, dmp: float
+        self,
+        states: np.ndarray,
+        shapes: np.ndarray,
+        targets: np.ndarray,
+        physics: float,
+        dmp: float,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return gradient and Hessian entries of physics E_phys + E_obj + dmp E_dmp."""
         residual, jacobian = self._stage_jacobian(self._before(states), shapes, states)
         jacobian = jacobian.reshape(self.total, -1, self.nt)  # transposed
-        gradient_cycle, hessian_cycle = self._cycle_derivatives(self._cycles(states), self._wanted)
+        gradient_cycle, hessian_cycle = self._cycle_derivatives(self._cycles(states), self._goals)
         factor = 2 * physics / self.total
         gradient = np.zeros(self.size + 1)  # the last entry takes what belongs to fixed starts
         np.add.at(gradient, self._stage_index, factor * np.einsum("mai,mi->ma", jacobian, residual))
         np.add.at(gradient, self._cycle_index.ravel(), gradient_cycle.ravel())
-        gradient[self._shape_index] += 2 * dmp / self.total * (shapes - wanted).ravel()
+        gradient[self._shape_index] += 2 * dmp / self.total * (shapes - targets).ravel()
         diagonal = np.zeros(self.size)
         diagonal[self._shape_index] = 2 * dmp / self.total
         blocks = factor * jacobian @ jacobian.transpose(0, 2, 1)
@@ -248,13 +227,13 @@ class Trajectories:
         self,
         states: np.ndarray,
         shapes: np.ndarray,
-        wanted: np.ndarray,
+        targets: np.ndarray,
         physics: float,
         dmp: float,
         iterations: int,
         damping: float,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """Minimise physics E_phys + E_obj + dmp E_dmp over states and shapes; w is in `wanted`.
+        """Minimise physics E_phys + E_obj + dmp E_dmp over states and shapes; w is in `targets`.
 
         Gauss-Newton for E_phys, Newton for the rest, with Levenberg-Marquardt's damping.
 
@@ -262,17 +241,17 @@ class Trajectories:
             states, shapes, the three parts without weights, and the damping to go on with.
         """
         weights = np.array([physics, 1.0, dmp])
-        parts = self.parts(states, shapes, wanted)
+        parts = self.parts(states, shapes, targets)
         metric = np.concatenate([self.scale, np.full(self.r, _SHAPE)]) ** 2 / self.total
         metric = np.tile(metric, self.total)
         for _ in range(iterations):
-            gradient, entries = self.system(states, shapes, wanted, physics, dmp)
+            gradient, entries = self.system(states, shapes, targets, physics, dmp)
             before = weights @ parts
             for _ in range(_TRIALS):
                 step = self.solve(entries, damping * metric, -gradient)
                 new = self.move(states, shapes, step)
                 try:
-                    new_parts = self.parts(new[0], new[1], wanted)
+                    new_parts = self.parts(new[0], new[1], targets)
                 except RuntimeError:  # a step from there does not converge: too far
                     new_parts = np.full(3, np.inf)
                 if weights @ new_parts < before:

@@ -8,9 +8,10 @@ import sys
 import threading
 
 import pytest
+from processes import heed_ctrl_c
 from threadpoolctl import threadpool_info
 
-from defplan_mj import threads
+from defplan_mj.base import threads
 
 
 def test_limit_threads_limits_every_pool_that_is_loaded():
@@ -41,7 +42,7 @@ def test_interruptible_work_runs_in_another_thread_and_gives_its_result_or_error
 def test_ctrl_c_ends_a_wait_for_work_that_does_not_listen():
     code = """
 import os, signal, sys, threading, time
-from defplan_mj import threads
+from defplan_mj.base import threads
 
 def deaf():
     threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
@@ -54,7 +55,13 @@ except KeyboardInterrupt:
     print(threads.abandoned(), flush=True)
     os._exit(0 if time.monotonic() - start < 30 else 1)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        preexec_fn=heed_ctrl_c,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "True\n"
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from defplan_mj import registry, suite
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.build import build_body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain, TerrainGeom
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.friction import Sliding
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
@@ -21,7 +21,7 @@ from defplan_mj.gait.switching import evaluate_switching, measure_cycles
 from defplan_mj.kernel.contact_points import contact_points
 from defplan_solvers import shooting_walk
 from defplan_solvers.shooting import Shooting
-from defplan_solvers.shooting_walk import Trace, Walking, hardest, walk
+from defplan_solvers.shooting_walk import Trace, Walking, hardest, random_tasks
 from defplan_tasks import environments, quadruped, tee, walking
 
 SPECS = {"quadruped": quadruped.WALK, "tee": tee.WALK}
@@ -87,13 +87,15 @@ def test_what_tasks_want_can_be_held_back(problem):
 
 
 def test_the_fast_task_is_the_walk_but_for_what_it_wants_and_may_slide():
-    run, walk = registry.get_task("quadruped-run"), quadruped.WALK
+    run, random_tasks = registry.get_task("quadruped-run"), quadruped.WALK
     assert [task.advance for task in run.gait_tasks] == [1.0] * 4
-    assert run.weights.slip < walk.weights.slip
-    assert (run.feedback, walk.feedback) == ("ilqg", "none")
+    assert run.weights.slip < random_tasks.weights.slip
+    assert (run.feedback, random_tasks.feedback) == ("ilqg", "none")
     changed = {"name", "description", "gait_tasks", "weights", "feedback", "shipped"}
-    for field in dataclasses.fields(walk):
-        assert field.name in changed or getattr(run, field.name) == getattr(walk, field.name)
+    for field in dataclasses.fields(random_tasks):
+        assert field.name in changed or getattr(run, field.name) == getattr(
+            random_tasks, field.name
+        )
 
 
 @pytest.mark.parametrize("domain", SPECS)
@@ -233,7 +235,7 @@ def test_gaits_that_fall_go_on_and_are_taken_if_they_fall_less(
 
 def test_tasks_of_a_walk_are_kept_on_with_as_often_as_asked_for() -> None:
     for kept in (0.0, 0.6):
-        tasks = walk(4, kept)
+        tasks = random_tasks(4, kept)
         again = (tasks[1:] == tasks[:-1]).mean()
         assert again == pytest.approx(kept + (1 - kept) / 4, abs=0.08)
         assert set(tasks) == set(range(4))
@@ -273,20 +275,15 @@ def check_footing(found: dict[str, float], slip: float) -> None:
     assert found["belly_load"] == 0.0
 
 
-POOR_SEEDS = (("tee", 2), ("tee", 4))
-POOR = pytest.mark.xfail(reason="slides too much or falls, docs/gaits.md", strict=False)
+# The T's seeds 2 and 4 slide too much or fall (docs/gaits.md): nothing is claimed of them.
+STEADY_SEEDS = {"quadruped": (0, 1, 2, 3, 4), "tee": (0, 1, 3)}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("domain", "seed"),
-    [
-        pytest.param(domain, seed, marks=[POOR] if (domain, seed) in POOR_SEEDS else [])
-        for domain in SPECS
-        for seed in range(5)
-    ],
+    ("domain", "seed"), [(domain, seed) for domain in SPECS for seed in STEADY_SEEDS[domain]]
 )
-def test_every_seed_walks_four_ways_without_a_fall(domain: str, seed: int) -> None:
+def test_every_steady_seed_walks_four_ways_without_a_fall(domain: str, seed: int) -> None:
     spec = SPECS[domain]
     body = build_body(spec.mesh, spec.body, name=spec.name)
     problem = GaitProblem.of(spec, ReducedDynamics(body, spec.timestep, spec.terrain))

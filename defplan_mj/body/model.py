@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from defplan_mj import files
+from defplan_mj.base import files
 
 FORMAT_VERSION = 2
 REMAKE = "build it again from its mesh with `defplan body MESH`"
@@ -136,6 +136,11 @@ class Body:
     def length(self) -> float:
         """Longest extent of the rest shape, m."""
         return float(np.ptp(self.vertices, axis=0).max())
+
+    @property
+    def surface_faces(self) -> np.ndarray:
+        """(f, 3) surface triangles as indices into `surface`."""
+        return np.searchsorted(self.surface, self.faces)
 
     @cached_property
     def hash(self) -> str:

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
 from defplan_mj.body.elasticity import SYMMETRIC
+from defplan_mj.body.model import Body
 from defplan_mj.body.tetmesh import TetMesh, shape_gradients, volumes
 
 STRAIN = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -71,6 +72,17 @@ def deformation(features: np.ndarray, q: np.ndarray) -> np.ndarray:
     return rotation @ (np.eye(3) + strain_matrices(values[..., 3:])) - np.eye(3)
 
 
+def shape_coordinates(body: Body, q: np.ndarray) -> np.ndarray:
+    """Return z(q) (m, k) of shapes q (m, r): the displacement of a shape is basis z (docs/kernel.md)."""
+    gradients = deformation(body.feature_map, q).reshape(len(q), -1)
+    return gradients @ body.feature_weights.T
+
+
+def affine_coordinates(body: Body, q: np.ndarray) -> np.ndarray:
+    """Return zeta = (1, z(q)) (m, k + 1) of shapes q (m, r), which `Body.moments` and fields take."""
+    return np.hstack([np.ones((len(q), 1)), shape_coordinates(body, q)])
+
+
 class RotationStrain:
     """The exact map q -> u(q) of a body: all tetrahedra, one Poisson solve.
 
@@ -104,10 +116,10 @@ class RotationStrain:
         for start in range(0, len(q), _CHUNK):
             yield self.nearest(deformation(self.features, q[start : start + _CHUNK]))
 
-    def nearest(self, wanted: np.ndarray) -> np.ndarray:
-        """Return u (m, n, 3) whose gradients come nearest to `wanted` (m, t, 3, 3), F - I."""
-        shapes, tets = wanted.shape[:2]
-        columns = wanted.transpose(1, 3, 0, 2).reshape(3 * tets, 3 * shapes)
+    def nearest(self, gradients: np.ndarray) -> np.ndarray:
+        """Return u (m, n, 3) whose gradients come nearest to `gradients` (m, t, 3, 3), F - I."""
+        shapes, tets = gradients.shape[:2]
+        columns = gradients.transpose(1, 3, 0, 2).reshape(3 * tets, 3 * shapes)
         right = self._weighted @ columns
         u = np.zeros_like(right)
         u[1:] = self._factor.solve(right[1:])

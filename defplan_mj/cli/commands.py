@@ -22,8 +22,8 @@ from defplan_mj.cli.text import (
 )
 
 if TYPE_CHECKING:
+    from defplan_mj.base.progress import Progress
     from defplan_mj.run import Run
-    from defplan_mj.task import Progress
 
 
 def list_installed(arguments: argparse.Namespace, console: Console) -> int:
@@ -237,7 +237,7 @@ def _stage(
 
 
 def view(arguments: argparse.Namespace, console: Console) -> int:
-    """Watch the planner steer through novel scenes, in real time, until the window is closed."""
+    """Watch the planner steer through unseen scenes, in real time, until the window is closed."""
     from defplan_mj import trial
     from defplan_mj.host.viewer import require_display, view
 

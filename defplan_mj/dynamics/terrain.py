@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from defplan_mj.base import rotations
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
-from defplan_mj.errors import DefplanError
 
 STANDARD_GRAVITY = 9.81
 MOST_GEOMS, MOST_HEIGHTS = 10_000, 10_000_000
@@ -102,11 +103,30 @@ def _tuple(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:
-    """Return the kernel's array for contact of `body` with `terrain` (kernel/terrain.c).
+@dataclass(frozen=True)
+class ContactLaw:
+    """The numbers of a terrain's contact for a body; see `Terrain` for the force.
+
+    Attributes:
+        friction: mu.
+        stiffness: k, N/m^2.
+        thickness: d, m.
+        slip_speed: e, m/s.
+        damping: b, s/m.
+    """
+
+    friction: float
+    stiffness: float
+    thickness: float
+    slip_speed: float
+    damping: float
+
+
+def contact_law(terrain: Terrain, body: Body) -> ContactLaw:
+    """Return the contact of `body` with `terrain`, with what the terrain leaves to the body filled in.
 
     Raises:
-        DefplanError: something about the terrain cannot be.
+        DefplanError: a number of it cannot be.
     """
     thickness = 0.01 * body.length if terrain.thickness is None else terrain.thickness
     if not 0.0 < thickness < np.inf:
@@ -116,19 +136,28 @@ def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:
     for name, value in (("stiffness", stiffness), ("slip_speed", terrain.slip_speed)):
         if not 0.0 < value < np.inf:
             raise DefplanError(f"the terrain's {name} is {value}: it must be positive")
+    for name, value in (("friction", terrain.friction), ("damping", terrain.damping)):
+        if not 0.0 <= value < np.inf:
+            raise DefplanError(f"the terrain's {name} is {value}: it must not be negative")
+    return ContactLaw(terrain.friction, stiffness, thickness, terrain.slip_speed, terrain.damping)
+
+
+def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:
+    """Return the kernel's array for contact of `body` with `terrain` (kernel/terrain.c).
+
+    Raises:
+        DefplanError: something about the terrain cannot be.
+    """
+    law = contact_law(terrain, body)
     if len(terrain.geoms) > MOST_GEOMS:
         raise DefplanError(
             f"the terrain has {len(terrain.geoms)} geoms: at most {MOST_GEOMS} can be"
         )
     if not terrain.geoms and terrain.heightfield is None:
         raise DefplanError("the terrain has neither geoms nor a heightfield: leave it out")
-    if not 0.0 <= terrain.friction < np.inf:
-        raise DefplanError(f"the terrain's friction is {terrain.friction}: it must not be negative")
     header = np.zeros(HEADER)
-    if not 0.0 <= terrain.damping < np.inf:
-        raise DefplanError(f"the terrain's damping is {terrain.damping}: it must not be negative")
-    header[14] = terrain.damping
-    header[1:6] = terrain.friction, stiffness, thickness, terrain.slip_speed, len(terrain.geoms)
+    header[1:6] = law.friction, law.stiffness, law.thickness, law.slip_speed, len(terrain.geoms)
+    header[14] = law.damping
     parts = [header, *(_pack_geom(geom) for geom in terrain.geoms)]
     field = terrain.heightfield
     if field is not None:
@@ -166,28 +195,15 @@ def _pack_geom(geom: TerrainGeom) -> np.ndarray:
         )
     _numbers(f"{geom.shape}'s position", geom.position, 3)
     _numbers(f"{geom.shape}'s quaternion", geom.quaternion, 4)
+    if not any(geom.quaternion):
+        raise DefplanError("a geom of the terrain has a quaternion of zeros")
+    turned = rotations.matrix(np.array(geom.quaternion))
     size = np.zeros(3)
     size[:count] = geom.size[:count]
-    return np.concatenate([[TYPES[geom.shape]], size, geom.position, _matrix(geom.quaternion)])
+    return np.concatenate([[TYPES[geom.shape]], size, geom.position, turned.ravel()])
 
 
 def _numbers(what: str, values: tuple[float, ...], count: int) -> None:
     """Raise a DefplanError unless `values` are `count` finite numbers."""
     if len(values) != count or not np.isfinite(np.asarray(values, float)).all():
         raise DefplanError(f"the terrain's {what} is {values}: {count} finite numbers are wanted")
-
-
-def _matrix(quaternion: tuple[float, float, float, float]) -> np.ndarray:
-    """Return the rotation matrix (9,), row-major."""
-    q = np.asarray(quaternion, float)
-    norm = np.linalg.norm(q)
-    if not norm > 0.0:
-        raise DefplanError("a geom of the terrain has a quaternion of zeros")
-    w, x, y, z = q / norm
-    return np.array(
-        [
-            *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        ]
-    )

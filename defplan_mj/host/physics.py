@@ -10,13 +10,14 @@ import mujoco
 import numpy as np
 from dm_control.mujoco import engine, wrapper
 
+from defplan_mj.base import rotations
 from defplan_mj.host import contact, laser
 from defplan_mj.host.ground import height_above
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.plugin import load_plugin
-from defplan_mj.host.scene import ROBOT, TARGET, TERRAIN
+from defplan_mj.host.scene import ROBOT, TARGET, TERRAIN, LaserNumbers
 from defplan_mj.kernel.library import kernel
-from defplan_mj.kernel.pack import stepping_of
+from defplan_mj.kernel.pack import unpack_options
 from defplan_mj.planning.scenes import Scene
 
 load_plugin()  # on import, since a pickled Physics needs it before any of its code runs
@@ -42,14 +43,14 @@ class Physics(engine.Physics):
     @property
     def stepping(self) -> dict[str, Any]:
         """'substeps' and 'integrator' of the reduced dynamics."""
-        return stepping_of(self._numeric("defplan_options"))
+        return unpack_options(self._numeric("defplan_options")).stepping
 
     # ---- the reduced state
 
     @property
     def space(self) -> str:
         """'planar' or 'spatial': where the robot navigates, and so what its laser sees."""
-        return laser.SPACE_OF[int(self._numeric("laser")[2])]
+        return laser.SPACE_OF[int(self._laser_numbers().dimension)]
 
     @property
     def n_modes(self) -> int:
@@ -110,14 +111,11 @@ class Physics(engine.Physics):
 
     def yaw(self) -> float:
         """Return the heading, rad, in (-pi, pi]."""
-        rotation = self.orientation()
-        return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+        return float(rotations.heading(self.orientation()))
 
     def yaw_frame(self) -> np.ndarray:
         """Return the (3, 3) rotation by the heading about the vertical."""
-        yaw = self.yaw()
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return rotations.level_matrix(self.yaw())
 
     def frame(self) -> np.ndarray:
         """Return the (3, d) axes, as columns in the world, that planning turns with: see `space`.
@@ -160,19 +158,19 @@ class Physics(engine.Physics):
 
     def laser_range(self) -> float:
         """Return the range of the laser, m."""
-        return float(self._numeric("laser")[1])
+        return float(self._laser_numbers().range)
 
     def laser(self) -> np.ndarray:
         """Return the (beams,) laser distances, m; see `laser.scan`."""
-        beams, laser_range, _ = self._numeric("laser")
+        numbers = self._laser_numbers()
         robot = self.model.name2id(ROBOT, "body")
         return laser.scan(
             self.model.ptr,
             self.data.ptr,
             self.com(),
             self.frame(),
-            int(beams),
-            float(laser_range),
+            int(numbers.beams),
+            float(numbers.range),
             robot,
         )
 
@@ -212,6 +210,9 @@ class Physics(engine.Physics):
     def _numeric(self, name: str) -> np.ndarray:
         model = self.model.ptr
         return model.numeric(name).data
+
+    def _laser_numbers(self) -> LaserNumbers:
+        return LaserNumbers(*self._numeric("laser"))
 
     def _blob(self) -> np.ndarray:
         return self._numeric("defplan_body")

@@ -12,10 +12,10 @@ import imageio.v2 as imageio
 import mujoco
 import numpy as np
 
-from defplan_mj import files
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.host import skin
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.scene import build_spec, compile_model
@@ -155,8 +155,8 @@ def render_states(
     states = np.atleast_2d(states)
     still = path is not None and Path(path).suffix.lower() == ".png"
     times = timestep * np.arange(len(states))
-    wanted = times[-1:] if still else np.arange(0.0, times[-1] + 0.5 * timestep, 1 / fps)
-    indices = np.minimum(np.round(wanted / timestep).astype(int), len(states) - 1)
+    instants = times[-1:] if still else np.arange(0.0, times[-1] + 0.5 * timestep, 1 / fps)
+    indices = np.minimum(np.round(instants / timestep).astype(int), len(states) - 1)
     frames = _frames(body, states, scene, size, camera, timestep, indices, trail, terrain)
     if path is None:
         return list(frames)

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain, pack_terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.host import skin
 from defplan_mj.host.ground import add_terrain
 from defplan_mj.host.plugin import NAME as PLUGIN
 from defplan_mj.host.plugin import load_plugin
-from defplan_mj.kernel.pack import pack_body, pack_options
+from defplan_mj.kernel.pack import StepOptions, pack_body, pack_options
 from defplan_mj.task import SPACES
 
 ROBOT = "robot"
@@ -31,6 +31,14 @@ DRAWN_HALF_HEIGHT, DRAWN_HEIGHT = 2.75, -1.25  # m, and of their pictures: from 
 PARKED = (0.0, 0.0, -100.0)  # m, where unused obstacles wait
 # Geom groups, as is usual in MuJoCo: what is drawn, and what is touched and seen by the laser.
 DECOR_GROUP, SOLID_GROUP = 2, 3
+
+
+class LaserNumbers(NamedTuple):
+    """What the model's numeric 'laser' holds: beams, range in m, dimension of the space."""
+
+    beams: float
+    range: float
+    dimension: float
 
 
 def build_spec(
@@ -80,7 +88,9 @@ def build_spec(
         _add_sea_bed(spec)
     _add_robot(spec, body, timestep, normalised_controls, space, stepping)
     skin.add_skin(spec, body, ROBOT, "self", texture)
-    spec.add_numeric(name="laser", data=[float(beams), laser_range, float(SPACES[space])])
+    spec.add_numeric(
+        name="laser", data=LaserNumbers(float(beams), laser_range, float(SPACES[space]))
+    )
     # a site away from its body's origin: one compiled at the origin could not be moved
     spec.worldbody.add_site(
         name=TARGET, pos=[5, 0, 0], size=[0.5, 0.5, 0.5], material=TARGET, group=0
@@ -113,7 +123,9 @@ def _add_robot(
     """Add the free joint, the modal slide joints, their actuators, the plugin and its data."""
     amplitude = np.asarray(body.amplitude, float)
     spec.add_numeric(name="defplan_body", data=pack_body(body))
-    spec.add_numeric(name="defplan_options", data=pack_options(body, timestep, **stepping))
+    spec.add_numeric(
+        name="defplan_options", data=pack_options(body, StepOptions(timestep, **stepping))
+    )
     scale = amplitude if normalised else np.ones(body.n_modes)
     spec.add_numeric(name="defplan_scale", data=scale)
     spec.add_text(name="body_hash", data=body.hash)

@@ -6,16 +6,11 @@ import mujoco
 import numpy as np
 
 from defplan_mj import registry
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
-from defplan_mj.errors import DefplanError
 
 BACK = (0.16, 0.30, 0.42)
 BELLY = (0.85, 0.87, 0.82)
-
-
-def surface_faces(body: Body) -> np.ndarray:
-    """Return the (f, 3) surface triangles as indices into `body.surface`."""
-    return np.searchsorted(body.surface, body.faces)
 
 
 def shaded_texture(
@@ -67,7 +62,7 @@ def add_skin(
         material=material,
         vert=points.ravel(),
         texcoord=texcoord.ravel(),
-        face=surface_faces(body).ravel(),
+        face=body.surface_faces.ravel(),
         bodyname=[bone],
         bindpos=[0.0, 0.0, 0.0],
         bindquat=[1.0, 0.0, 0.0, 0.0],

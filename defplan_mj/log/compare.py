@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from defplan_mj.errors import DefplanError
-from defplan_mj.log.poses import angle, predict, rotation_matrix, yaw
+from defplan_mj.base import rotations
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.log.reader import EpisodeLog, read_log
 
 SETTLING = 3
@@ -21,7 +22,7 @@ TURNING = {"planar": "heading", "spatial": "rotation"}
 
 
 @dataclass(frozen=True)
-class Episode:
+class LoggedEpisode:
     """One log of a comparison.
 
     Attributes:
@@ -83,7 +84,7 @@ class Comparison:
     """
 
     task_names: tuple[str, ...]
-    episodes: tuple[Episode, ...]
+    episodes: tuple[LoggedEpisode, ...]
     log: np.ndarray
     gait: np.ndarray
     cycle: np.ndarray
@@ -269,10 +270,10 @@ def _cycles(log: EpisodeLog) -> np.ndarray:
 
 def _predictions(log: EpisodeLog, rows: np.ndarray) -> np.ndarray:
     """Return the (m, 7) logged predictions; those that were not logged are made of the attachment."""
-    poses = log.surrogate_pose[rows].copy()
+    poses, surrogate = log.surrogate_pose[rows].copy(), RigidDynamics(log.surrogate)
     for i in np.flatnonzero(~np.isfinite(poses).all(1)):
         start = log.states[log.cycle_steps[rows[i]]]
-        poses[i] = predict(log.surrogate, start[:7], int(log.gait_index[rows[i]]))
+        poses[i] = surrogate.step(start, int(log.gait_index[rows[i]]))
     return poses
 
 
@@ -281,9 +282,9 @@ def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
     start = log.states[log.cycle_steps[rows]][:, :7]
     end = log.states[log.cycle_steps[rows + 1]][:, :7]
     predicted = _predictions(log, rows)
-    frame = rotation_matrix(start[:, 3:])
+    frame = rotations.matrix(start[:, 3:])
     if log.space == "planar":
-        frame = _about_vertical(yaw(frame))
+        frame = rotations.level_matrix(rotations.heading(frame))
     return {
         "cycle": rows,
         "start": log.time[log.cycle_steps[rows]],
@@ -293,14 +294,11 @@ def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def _episode(log: EpisodeLog, rows: np.ndarray) -> Episode:
+def _episode(log: EpisodeLog, rows: np.ndarray) -> LoggedEpisode:
     """Return one log's own figures; the surrogate is chained over its leading whole cycles."""
     leading = rows[rows == np.arange(len(rows))]
     truth = log.states[log.cycle_steps[: len(leading) + 1]][:, :7]
-    chained = [truth[0]]
-    for j in log.gait_index[leading]:
-        chained.append(predict(log.surrogate, chained[-1], int(j)))
-    return Episode(
+    return LoggedEpisode(
         path=log.path,
         fault=log.fault,
         outcome=log.outcome,
@@ -308,18 +306,9 @@ def _episode(log: EpisodeLog, rows: np.ndarray) -> Episode:
         clearance=float(log.clearance.min()) if len(log.clearance) else float("nan"),
         collisions=int((log.clearance < 0).sum()),
         truth=truth,
-        chained=np.array(chained),
+        chained=RigidDynamics(log.surrogate).rollout(truth[0], log.gait_index[leading]),
         space=log.space,
     )
-
-
-def _about_vertical(heading: np.ndarray) -> np.ndarray:
-    """Return the (m, 3, 3) rotations by headings (m,), rad."""
-    frames = np.tile(np.eye(3), (len(heading), 1, 1))
-    frames[:, 0, 0] = frames[:, 1, 1] = np.cos(heading)
-    frames[:, 1, 0] = np.sin(heading)
-    frames[:, 0, 1] = -frames[:, 1, 0]
-    return frames
 
 
 def _into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
@@ -329,10 +318,10 @@ def _into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
 
 def _turning(truth: np.ndarray, predicted: np.ndarray, space: str) -> np.ndarray:
     """Return the errors of attitude (m,) of (m, 7) poses; see `Comparison.turning`."""
-    true, told = rotation_matrix(truth[:, 3:7]), rotation_matrix(predicted[:, 3:7])
+    true, expected = rotations.matrix(truth[:, 3:7]), rotations.matrix(predicted[:, 3:7])
     if space == "spatial":
-        return angle(np.swapaxes(told, 1, 2) @ true)
-    error = yaw(true) - yaw(told)
+        return rotations.angle(np.swapaxes(expected, 1, 2) @ true)
+    error = rotations.heading(true) - rotations.heading(expected)
     return np.pi - (np.pi - error) % (2 * np.pi)
 
 

@@ -16,7 +16,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from defplan_mj.log.poses import quaternion, rotation_matrix, yaw
+from defplan_mj.base import rotations
 from defplan_mj.log.schemas import WORLD_FRAME
 from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.scenes import Scene
@@ -61,8 +61,8 @@ def laser_scan(x: np.ndarray, ranges: Sequence[float] | np.ndarray, nanoseconds:
     heads (its x axis, projected).
     """
     ranges = np.asarray(ranges, float)
-    heading = float(yaw(rotation_matrix(x[3:7])))
-    turn = Quaternion(w=np.cos(heading / 2), z=np.sin(heading / 2))
+    w, _, _, z = rotations.level_attitude(rotations.quaternion_heading(x[3:7]))
+    turn = Quaternion(w=w, z=z)
     return LaserScan(
         timestamp=_timestamp(nanoseconds),
         frame_id=WORLD_FRAME,
@@ -148,7 +148,7 @@ def _towards(direction: np.ndarray) -> np.ndarray:
     spare = np.eye(3)[np.argmin(np.abs(direction))]
     up = np.cross(direction, spare)
     up /= np.linalg.norm(up)
-    return quaternion(np.column_stack([direction, np.cross(up, direction), up]))
+    return rotations.quaternion(np.column_stack([direction, np.cross(up, direction), up]))
 
 
 def _timestamp(nanoseconds: int) -> Timestamp:

@@ -17,7 +17,9 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
 import defplan_mj
-from defplan_mj.errors import DefplanError
+from defplan_mj.base import files, rotations
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.log import schemas, wire
 from defplan_mj.log.messages import (
     contact_forces,
@@ -26,7 +28,6 @@ from defplan_mj.log.messages import (
     laser_scan,
     scene_update,
 )
-from defplan_mj.log.poses import predict, rotation_matrix
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.planning.scenes import Scene
 
@@ -151,7 +152,7 @@ class Recorder:
             )
             self._writer.add_metadata(schemas.VERSIONS_RECORD, versions())
             self._writer.add_metadata(
-                schemas.CONFIGURATION_RECORD, {"json": json.dumps(configuration, default=_plain)}
+                schemas.CONFIGURATION_RECORD, {"json": json.dumps(configuration, default=_named)}
             )
             for name, data in self._files.attachments.items():
                 self._writer.add_attachment(0, 0, name, "application/octet-stream", data)
@@ -231,7 +232,7 @@ class Recorder:
         self._numbers(schemas.VALUES, start, wire.timestamp(start), np.asarray(values, float))
         self._numbers(schemas.REWARD, end, stamp, np.array([reward], float))
         if surrogate_pose is None and self._files.surrogate is not None:
-            surrogate_pose = predict(self._files.surrogate, x[:7], gait_index)
+            surrogate_pose = RigidDynamics(self._files.surrogate).step(x[:7], gait_index)
         if surrogate_pose is not None:
             message = wire.pose_in_frame(stamp, self._frame, surrogate_pose.tolist())
             self._write(schemas.SURROGATE, end, message)
@@ -247,7 +248,7 @@ class Recorder:
         """Write how the episode ended, close the log and give it its final name.
 
         Args:
-            outcome: 'success', 'collision' or 'timeout'.
+            outcome: one of `planning.outcome.ENDINGS`.
             reason: a sentence, for people.
         """
         self._close({"outcome": outcome, "reason": reason})
@@ -311,7 +312,7 @@ class Recorder:
         self._write(schemas.COM, now, wire.pose_in_frame(stamp, self._frame, pose))
         if not self._drawn:
             return
-        points = (self._surface(x)[self._rows] - x[:3]) @ rotation_matrix(x[3:7])
+        points = (self._surface(x)[self._rows] - x[:3]) @ rotations.matrix(x[3:7])
         points = np.rint(points * (1 / _MESH_GRID)) * _MESH_GRID
         self._write(schemas.MESH, now, self._mesh.encode(stamp, points))
         if self._moving and self._steps:
@@ -354,13 +355,13 @@ class Recorder:
 @lru_cache
 def versions() -> dict[str, str]:
     """Return what a bit-identical rerun may depend on: packages, Python, system, processor."""
-    found = {"defplan": defplan_mj.__version__, "python": platform.python_version()}
+    packages = {"defplan": defplan_mj.__version__, "python": platform.python_version()}
     for package in _PACKAGES:
         try:
-            found[package] = importlib.metadata.version(package)
+            packages[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
             continue
-    return {**found, "system": platform.system(), "machine": platform.machine()}
+    return {**packages, "system": platform.system(), "machine": platform.machine()}
 
 
 def _pair(contacts: Contacts) -> tuple[np.ndarray, np.ndarray]:
@@ -379,12 +380,6 @@ def _ns(time: float) -> int:
     return round(time * 1e9)
 
 
-def _plain(value: Any) -> Any:
-    """Make NumPy values, dataclasses and paths JSON-able."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return dataclasses.asdict(value)
-    if isinstance(value, Path):
-        return value.name  # a log is read elsewhere: where the file lay here says nothing
-    raise TypeError(f"{type(value).__name__} in a log's configuration")
+def _named(value: Any) -> Any:
+    """Return a path's name, as a log is read elsewhere; of other values what JSON can hold."""
+    return value.name if isinstance(value, Path) else files.plain(value)

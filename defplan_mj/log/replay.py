@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.log import schemas
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import versions
-from defplan_mj.task import Navigation, Progress, no_progress
+from defplan_mj.task import Navigation
 
 
 @dataclass(frozen=True)
@@ -137,10 +138,10 @@ def _in_mujoco(log: EpisodeLog, progress: Progress) -> dict[str, np.ndarray]:
     from defplan_mj.host.navigation import navigation_environment
     from defplan_mj.host.physics import Physics
 
-    told = log.configuration.get("navigation") or {}
+    settings = log.configuration.get("navigation") or {}
     navigation = Navigation(
         beams=log.laser.shape[1],
-        laser_range=float(told.get("laser_range", Navigation().laser_range)),
+        laser_range=float(settings.get("laser_range", Navigation().laser_range)),
         space=log.space,
     )
     open_loop = log.configuration.get("feedback", "none") == "none"
@@ -200,11 +201,11 @@ def _compare_episode(log: EpisodeLog, replayed: dict[str, np.ndarray]) -> Differ
         "state": _state_labels(log),
         "laser": [f"beam {i}" for i in range(log.laser.shape[1])],
     }
-    found = [
+    differences = [
         _first("mujoco", name, logged[name], replayed[name], labels.get(name, [""]), steps[name])
         for name in logged
     ]
-    return min((d for d in found if d is not None), key=lambda d: d.step, default=None)
+    return min((d for d in differences if d is not None), key=lambda d: d.step, default=None)
 
 
 def _first(

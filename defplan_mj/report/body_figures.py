@@ -6,16 +6,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from defplan_mj.body.model import Body
+from defplan_mj.body.tetmesh import boundary
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.log.plotting import SERIES, new_figure, styled, view
-from defplan_mj.report.drawing import boundary_faces, draw_surface, fit
+from defplan_mj.report.drawing import draw_surface, fit
 
 _OUTER, _INNER = "#1f7a8c", "#e0b25b"
-
-
-def surface_rows(body: Body) -> np.ndarray:
-    """Return the body's faces as rows of its surface points."""
-    return np.searchsorted(body.surface, body.faces)
 
 
 @styled
@@ -27,7 +23,7 @@ def mesh_figures(body: Body) -> tuple[Figure, Figure]:
     grid[0, 0].set_title(f"{len(body.vertices)} vertices")
     # seen from the right (azimuth < 0): what lies to the right is on the viewer's side
     centre = body.vertices[body.tetrahedra].mean(1)
-    faces = boundary_faces(body.tetrahedra[centre[:, 1] > 0])
+    faces, _ = boundary(body.tetrahedra[centre[:, 1] > 0])
     outside = {tuple(face) for face in np.sort(body.faces, axis=1).tolist()}
     inner = [tuple(face) not in outside for face in np.sort(faces, axis=1).tolist()]
     opened, grid = new_figure(4.6, 2.4)
@@ -49,7 +45,7 @@ def mode_figure(body: Body, dynamics: ReducedDynamics, mode: int) -> Figure:
     figure, axes = new_figure(4.6, 1.7, 1, 2)
     colour = SERIES[mode % len(SERIES)]
     for column, points in enumerate(shapes):
-        draw_surface(axes[0, column], points, surface_rows(body), rotation, colour)
+        draw_surface(axes[0, column], points, body.surface_faces, rotation, colour)
     seen = np.concatenate([points @ rotation.T for points in shapes])[:, :2]
     for column, mark in enumerate("−+"):
         fit(axes[0, column], seen)  # both at one scale

@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from defplan_mj import registry
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import PARTIAL_SUFFIX
@@ -108,7 +108,7 @@ class Material:
     def solvers(self) -> list[dict[str, Any]]:
         """The gait solvers on the same problem, an entry a solver and seed; empty if not compared.
 
-        'name', 'seed' and what `rivals.measure` says; or 'name', 'seed' and 'error'.
+        'name', 'seed' and what `rivals.measure_solver` says; or 'name', 'seed' and 'error'.
         """
         found = self.documents.get("gait_solvers", {}).get("solvers")
         return found if isinstance(found, list) else []

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from defplan_mj import files
+from defplan_mj.base import files
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.report.check_section import check_section
 from defplan_mj.report.content import Code, Fact, Missing, Section, Table, Text, duration, percent
 from defplan_mj.report.material import Material, gather
@@ -27,7 +28,6 @@ from defplan_mj.report.sections import (
     surrogate_section,
     time_section,
 )
-from defplan_mj.task import Progress, no_progress
 
 REPORT_FILE = "report.html"
 
@@ -125,7 +125,7 @@ def command(material: Material) -> str:
     config = material.config
     words = ["defplan", "run", material.task, "--seed", str(config.get("seed", 0))]
     for name in config.get("rivals") or ():
-        words += ["--rival", str(name)]
+        words += ["--compare-with", str(name)]
     for option in ("gait_solver", "planner", "solver_seeds", "pairs", "episodes", "moving"):
         if config.get(option) is not None:
             words += [f"--{option.replace('_', '-')}", str(config[option])]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import json
 import math
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 
 _HEADER = "header.json"
 MOST_BYTES = (
@@ -73,6 +74,21 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     """Write `data` to `path` atomically."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
+
+
+def plain(value: Any) -> Any:
+    """Return what JSON can hold for a NumPy scalar, an array, a path or a dataclass (json's `default`).
+
+    Raises:
+        TypeError: it is none of these.
+    """
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
+    raise TypeError(f"cannot write a {type(value).__name__} as JSON")
 
 
 def content_hash(arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> str:
@@ -154,7 +170,7 @@ def load_archive(
         header = json.loads(contents.pop(_HEADER).tobytes())
         if not isinstance(header, dict) or not isinstance(header["meta"], dict):
             raise ValueError("no header")
-        told = header["hash"]
+        digest = header["hash"]
     except PermissionError as error:
         raise DefplanError(f"cannot read {source}: {error.strerror}") from error
     except Exception as error:  # a damaged archive makes zipfile and NumPy raise a dozen kinds
@@ -166,8 +182,8 @@ def load_archive(
             f"{source} has {kind} format {header.get('version')}, this version reads {version}: {remake}"
         )
     meta = header["meta"]
-    if content_hash(contents, meta) != told:
+    if content_hash(contents, meta) != digest:
         raise DefplanError(
             f"{source} is damaged: its content does not match its hash; make it anew"
         )
-    return contents, meta, told
+    return contents, meta, digest
