@@ -14,7 +14,16 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
 from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.gait.gait import Gait
-from defplan_mj.robustness import CALM, Condition, Walk, conditions, heavier, measure, walk, world
+from defplan_mj.studies.robustness import (
+    CALM,
+    Condition,
+    Walk,
+    conditions,
+    heavier,
+    measure,
+    walk,
+    world,
+)
 from defplan_mj.task import BodyOptions
 from defplan_solvers.open_loop import SOLVER as NONE
 

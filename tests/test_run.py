@@ -19,10 +19,10 @@ from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.replay import replay_log
+from defplan_mj.pipeline.results import run_results
+from defplan_mj.pipeline.run import SPEEDS, open_run
 from defplan_mj.planning.evaluation import OUTCOMES
 from defplan_mj.planning.planner import TrainResult
-from defplan_mj.results import run_results
-from defplan_mj.run import SPEEDS, open_run
 from defplan_mj.task import BodyOptions, Navigation, TaskSpec, no_progress
 
 NAVIGATION = Navigation(

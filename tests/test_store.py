@@ -11,7 +11,7 @@ import pytest
 
 from defplan_mj import files
 from defplan_mj.errors import DefplanError
-from defplan_mj.store import RUN_FILE, RunFolder, input_hash
+from defplan_mj.pipeline.store import RUN_FILE, RunFolder, input_hash
 
 
 class Stage:
@@ -117,7 +117,7 @@ def test_what_a_killed_writer_left_is_removed(tmp_path):
 
 def test_a_folder_belongs_to_one_process_at_a_time(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from defplan_mj.store import RunFolder\n"
+        "import sys; from pathlib import Path; from defplan_mj.pipeline.store import RunFolder\n"
         "with RunFolder(Path(sys.argv[1]), {}): pass"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]
@@ -141,7 +141,7 @@ def test_the_input_hash_depends_on_every_input_but_not_on_their_order():
 
 def test_a_lock_does_not_outlive_its_process(tmp_path):
     code = (
-        "import os, sys; from pathlib import Path; from defplan_mj.store import RunFolder\n"
+        "import os, sys; from pathlib import Path; from defplan_mj.pipeline.store import RunFolder\n"
         "RunFolder(Path(sys.argv[1]), {}).__enter__(); os._exit(1)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)

@@ -22,7 +22,7 @@ from defplan_mj.cli.text import (
 )
 
 if TYPE_CHECKING:
-    from defplan_mj.run import Run
+    from defplan_mj.pipeline.run import Run
     from defplan_mj.task import Progress
 
 
@@ -74,7 +74,7 @@ def _left(rows: list[list[str]]) -> str:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Do everything from the mesh to the report."""
-    from defplan_mj.results import run_results
+    from defplan_mj.pipeline.results import run_results
 
     chosen = {
         "gait_solver": arguments.gait_solver,
@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def gait(arguments: argparse.Namespace, console: Console) -> int:
     """Optimise the task's gaits, and say what they do."""
-    from defplan_mj.results import gait_results
+    from defplan_mj.pipeline.results import gait_results
 
     with _stage(arguments, console, "gait", gait_solver=arguments.solver) as run:
         data = {**gait_results(run), "seconds": run.folder.seconds("gait")}
@@ -108,7 +108,7 @@ def gait(arguments: argparse.Namespace, console: Console) -> int:
 
 def surrogate(arguments: argparse.Namespace, console: Console) -> int:
     """Fit the rigid surrogate, and print its row of the paper's Table III."""
-    from defplan_mj.results import surrogate_results
+    from defplan_mj.pipeline.results import surrogate_results
 
     with _stage(arguments, console, "surrogate", pairs=arguments.pairs) as run:
         data = {**surrogate_results(run), "seconds": run.folder.seconds("surrogate")}
@@ -133,9 +133,9 @@ def planner(arguments: argparse.Namespace, console: Console) -> int:
 
 def evaluate(arguments: argparse.Namespace, console: Console) -> int:
     """Let a planner steer the reduced dynamics through scenes, and count how the episodes end."""
-    from defplan_mj.results import without_rows
-    from defplan_mj.trial import Recorders
-    from defplan_mj.trial import evaluate as try_planner
+    from defplan_mj.pipeline.results import without_rows
+    from defplan_mj.pipeline.trial import Recorders
+    from defplan_mj.pipeline.trial import evaluate as try_planner
 
     log = None
     if arguments.log is not None:
@@ -166,7 +166,7 @@ def evaluate(arguments: argparse.Namespace, console: Console) -> int:
 
 def robustness(arguments: argparse.Namespace, console: Console) -> int:
     """Switch a task's gaits at random in worlds that are not the model's, with each feedback."""
-    from defplan_mj.robustness import study
+    from defplan_mj.studies.robustness import study
 
     with _stage(arguments, console, "robustness") as run:
         data = study(run, arguments.feedback or (), arguments.cycles, arguments.push)
@@ -177,8 +177,8 @@ def robustness(arguments: argparse.Namespace, console: Console) -> int:
 def check(arguments: argparse.Namespace, console: Console) -> int:
     """Play a task's gaits with finer steps and through the full FEM, and say what changes."""
     from defplan_mj import registry
-    from defplan_mj.check import CHECK_FILE, check_gaits, of_run, shipped
-    from defplan_mj.run import write_json
+    from defplan_mj.pipeline.run import write_json
+    from defplan_mj.studies.check import CHECK_FILE, check_gaits, of_run, shipped
 
     spec = registry.get_task(arguments.task)
     body, gait = shipped(spec) if arguments.run is None else of_run(arguments.run)
@@ -194,7 +194,7 @@ def check(arguments: argparse.Namespace, console: Console) -> int:
 
 def bench(arguments: argparse.Namespace, console: Console) -> int:
     """Time the reduced step and its peers on the task's body, which is built if it is not there."""
-    from defplan_mj.bench import bench as measure
+    from defplan_mj.studies.bench import bench as measure
 
     with console.progress() as progress, _open(arguments, progress) as run:
         data = measure(run.spec, run.body, progress, arguments.quick)
@@ -213,7 +213,7 @@ def _open(
         chosen: fields of `RunOptions`; None: as the run in the folder was asked for.
     """
     from defplan_mj import registry
-    from defplan_mj.run import open_run
+    from defplan_mj.pipeline.run import open_run
 
     spec = registry.get_task(arguments.task)
     fresh = whole and arguments.fresh
@@ -238,8 +238,8 @@ def _stage(
 
 def view(arguments: argparse.Namespace, console: Console) -> int:
     """Watch the planner steer through novel scenes, in real time, until the window is closed."""
-    from defplan_mj import trial
     from defplan_mj.host.viewer import require_display, view
+    from defplan_mj.pipeline import trial
 
     require_display()  # before any work
     chosen = {"planner": arguments.planner, "feedback": arguments.feedback}

@@ -16,7 +16,7 @@ from defplan_mj.errors import DefplanError
 if TYPE_CHECKING:
     from defplan_mj.gait.gait import Gait
     from defplan_mj.gait.problem import GaitProblem
-    from defplan_mj.run import Run
+    from defplan_mj.pipeline.run import Run
 
 SWITCHING_CYCLES = 200
 SOLVERS_FILE = "gait_solvers.json"
@@ -30,7 +30,7 @@ def compare_solvers(run: Run) -> None:
 
     Each is run with `solver_seeds` seeds from the run's own on; the run's gaits are one of them.
     """
-    from defplan_mj.run import write_json
+    from defplan_mj.pipeline.run import write_json
 
     rivals, count = find_rivals(run), run.options.solver_seeds
     if not rivals and count == 1:
@@ -70,7 +70,7 @@ def find_rivals(run: Run) -> list[Any]:
 
 def _attempt(run: Run, solver: Any, seed: int) -> dict[str, Any]:
     """Return the row of one solver and seed; a solver that fails is told, and the run goes on."""
-    from defplan_mj.run import write_json
+    from defplan_mj.pipeline.run import write_json
 
     stem = f"gait-{solver.name}-{seed}"
     path, file = run.folder.file(f"{stem}.json"), run.folder.file(f"{stem}.npz")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from defplan_mj.rivals import compare_solvers
-from defplan_mj.run import GAIT_FILE, STAGES, Run
+from defplan_mj.pipeline.run import GAIT_FILE, STAGES, Run
+from defplan_mj.studies.gait_solvers import compare_solvers
 
 
 def run_results(run: Run) -> dict[str, Any]:

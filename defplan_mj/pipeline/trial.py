@@ -12,9 +12,9 @@ if TYPE_CHECKING:
 
     from defplan_mj.log.recorder import Recorder
     from defplan_mj.log.run_files import RunFiles
+    from defplan_mj.pipeline.run import Run
     from defplan_mj.planning.planner import Planner
     from defplan_mj.planning.scenes import Scene
-    from defplan_mj.run import Run
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from defplan_mj import registry, threads
-from defplan_mj.bench_integrators import error_against_time, integrators
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.reduced import ReducedDynamics
@@ -26,8 +25,9 @@ from defplan_mj.kernel import library
 from defplan_mj.planning.scenes import Scene, novel_scenes, training_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv
+from defplan_mj.studies.bench_integrators import error_against_time, integrators
+from defplan_mj.studies.timing import Timing, measure
 from defplan_mj.task import Navigation, Progress, TaskSpec, no_progress
-from defplan_mj.timing import Timing, measure
 
 OBSTACLES = 10
 ENVIRONMENTS = 256

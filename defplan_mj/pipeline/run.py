@@ -16,10 +16,10 @@ import numpy as np
 
 from defplan_mj import files, registry, threads
 from defplan_mj.dynamics.terrain import terrain_json
-from defplan_mj.rivals import SWITCHING_CYCLES
-from defplan_mj.store import RunFolder, file_hash, read_config
+from defplan_mj.pipeline.store import RunFolder, file_hash, read_config
+from defplan_mj.pipeline.trial import Recorders, evaluate
+from defplan_mj.studies.gait_solvers import SWITCHING_CYCLES
 from defplan_mj.task import Progress, TaskSpec, no_progress
-from defplan_mj.trial import Recorders, evaluate
 
 if TYPE_CHECKING:
     from defplan_mj.body.model import Body

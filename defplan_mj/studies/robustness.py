@@ -24,7 +24,7 @@ from defplan_mj.planning.evaluation import wilson_interval
 from defplan_mj.task import Progress, no_progress
 
 if TYPE_CHECKING:
-    from defplan_mj.run import Run
+    from defplan_mj.pipeline.run import Run
 
 FILE = "robustness.json"
 SETTLE = 2  # cycles from rest whose drift is not counted
