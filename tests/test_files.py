@@ -142,3 +142,15 @@ def test_a_process_killed_while_writing_leaves_the_old_file(tmp_path):
     writer.wait(10)
     writer.stdout.close()
     assert path.read_text() == "old"
+
+
+def test_wall_times_have_no_part_in_a_content_hash(tmp_path):
+    arrays = {"a": np.arange(3.0)}
+    slow = {"seconds": 9.0, "stages": [{"name": "x", "seconds": 4.0}], "cycle_seconds": 0.4}
+    fast = {"seconds": 1.0, "stages": [{"name": "x", "seconds": 2.0}], "cycle_seconds": 0.4}
+    assert files.content_hash(arrays, slow) == files.content_hash(arrays, fast)
+    assert files.content_hash(arrays, slow) != files.content_hash(
+        arrays, {**slow, "cycle_seconds": 1.0}
+    )
+    digest = files.save_archive(tmp_path / "a.npz", "gait", 1, arrays, slow)
+    assert files.load_archive(tmp_path / "a.npz", "gait", 1)[1:] == (slow, digest)
