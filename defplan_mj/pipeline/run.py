@@ -1,366 +1,197 @@
-"""The run: body, gait, surrogate, planner, evaluation, report, each made once and reused while it fits."""
+"""A run of a task in its folder: a loop over its stages, each made once and used again while it fits."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+import functools
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from defplan_mj import files, registry, threads
-from defplan_mj.dynamics.terrain import terrain_json
-from defplan_mj.pipeline.store import RunFolder, file_hash, read_config
-from defplan_mj.pipeline.trial import Recorders, evaluate
-from defplan_mj.studies.gait_solvers import SWITCHING_CYCLES
+from defplan_mj.pipeline.outlook import UNASKED, Anew, Consent, Outlook, why_anew
+from defplan_mj.pipeline.plan import CONFIGURATION, Plan, RunOptions, kept_options
+from defplan_mj.pipeline.provenance import plain_data
+from defplan_mj.pipeline.stage import Stage
+from defplan_mj.pipeline.stages import STAGES
+from defplan_mj.pipeline.store import Record, RunFolder, has_run, input_hash, read_config
 from defplan_mj.task import Progress, TaskSpec, no_progress
-
-if TYPE_CHECKING:
-    from defplan_mj.body.model import Body
-    from defplan_mj.dynamics.reduced import ReducedDynamics
-    from defplan_mj.gait.gait import Gait
-    from defplan_mj.gait.problem import GaitProblem
-    from defplan_mj.planning.planner import Planner
-    from defplan_mj.planning.surrogate import Surrogate
-
-STAGES = ("body", "gait", "surrogate", "planner", "evaluation")
-GAIT_FILE, EVALUATION_FILE, MOVING_FILE = "gait.json", "evaluation.json", "moving.json"
-REPORT_FILE = "report.html"
-SPEEDS = (0.25, 0.5, 1.0, 2.0)
-"""Of moving obstacles, m/s."""
-TRAINING_VERSION = 1
-CONFIGURATION = (
-    "gait_solver",
-    "planner",
-    "feedback",
-    "rivals",
-    "solver_seeds",
-    "pairs",
-    "episodes",
-    "logged",
-    "moving",
-)  # kept in run.json
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """What a run is asked for besides its task.
-
-    Attributes:
-        seed: of everything random.
-        gait_solver, planner, feedback: plugins by name (None: the task's).
-        rivals: gait solvers that the report compares with (none: ('none',); None: the task's).
-        solver_seeds: with how many seeds they are compared.
-        pairs: (before, after) pairs a gait that the surrogate is fitted to.
-        episodes: novel scenes of the evaluation.
-        logged: how many of the novel episodes are logged, beside those of K2.
-        moving: K2 episodes among moving obstacles, at each of `SPEEDS` (0: none).
-        remake: the stage that is made anew even if it could be reused.
-    """
-
-    seed: int = 0
-    gait_solver: str | None = None
-    planner: str | None = None
-    feedback: str | None = None
-    rivals: Sequence[str] | None = None
-    solver_seeds: int = 1
-    pairs: int = 1000
-    episodes: int = 200
-    logged: int = 4
-    moving: int = 40
-    remake: str | None = None
 
 
 class Run:
-    """One run of a task in its folder. A stage is made, or read again, when it is first asked for.
+    """A plan and the folder it is carried out in.
+
+    `do` makes stages; `result` reads what they made, and never makes anything.
 
     Args:
-        spec: the task.
+        plan: what is asked for.
         folder: open for the time of the run.
-        options: see `RunOptions`.
         progress: told what is being made, as 'stage: detail'.
+        consent: how the user is told and asked of what is made anew.
+        anew: names of stages that are made even if they could be used again.
+        whole: the folder holds a whole run, whose stages are not made anew unasked.
     """
+
+    plan: Plan
+    folder: RunFolder
 
     def __init__(
         self,
-        spec: TaskSpec,
+        plan: Plan,
         folder: RunFolder,
-        options: RunOptions = RunOptions(),
         progress: Progress = no_progress,
+        consent: Consent = UNASKED,
+        anew: Iterable[str] = (),
+        whole: bool = False,
     ) -> None:
-        self.spec = spec
-        self.folder = folder
-        self.options = options
+        self.plan, self.folder = plan, folder
+        self.consent, self.anew, self.whole = consent, frozenset(anew), whole
         self._progress = progress
-        self.hashes: dict[str, str] = {}
-        self._used: set[str] = set()
+        self._stages = {stage.name: stage for stage in STAGES}
+        self._done: dict[str, Record] = {}
+        self._results: dict[str, Any] = {}
 
-    @cached_property
-    def gait_solver(self) -> Any:
-        """The gait solver plugin."""
-        return registry.get_solver(self.options.gait_solver or self.spec.gait_solver, "gait")
+    # ---- making
 
-    @cached_property
-    def planner_solver(self) -> Any:
-        """The planner plugin."""
-        return registry.get_solver(self.options.planner or self.spec.planner, "planner")
+    def do_all(self) -> None:
+        """Do every stage of a whole run."""
+        self.plan.check()
+        self.do(*(stage for stage in STAGES if stage.included(self)))
 
-    @cached_property
-    def feedback_solver(self) -> Any:
-        """The feedback plugin."""
-        return registry.get_solver(self.options.feedback or self.spec.feedback, "feedback")
+    def do(self, *wanted: str | Stage) -> None:
+        """Make stages, and those that they need, unless they are there.
 
-    # ---- the stages
-
-    @cached_property
-    def body(self) -> Body:
-        """The body of the task's mesh."""
-        from defplan_mj.body.build import build_body
-        from defplan_mj.body.model import Body
-
-        path = self.folder.file("body.npz")
-
-        def make() -> Iterable[Path]:
-            body = build_body(self.spec.mesh, self.spec.body, self.progress("body"))
-            body.save(path)
-            return [path]
-
-        mesh = file_hash(self.spec.mesh) if self.spec.mesh.is_file() else "missing"
-        self.make("body", {"mesh": mesh, "options": dataclasses.asdict(self.spec.body)}, make)
-        return Body.load(path)
-
-    @cached_property
-    def dynamics(self) -> ReducedDynamics:
-        """The reduced dynamics of the body at the task's time step."""
-        from defplan_mj.dynamics.reduced import ReducedDynamics
-
-        spec = self.spec
-        return ReducedDynamics(self.body, spec.timestep, spec.terrain, **spec.stepping)
-
-    @cached_property
-    def gait(self) -> Gait:
-        """The task's gaits, optimised by the gait solver, and how they fare when they are switched."""
-        from defplan_mj.gait.gait import Gait
-        from defplan_mj.gait.switching import evaluate_switching
-
-        solver = self.gait_solver
-        path, switching = self.folder.file("gait.npz"), self.folder.file(GAIT_FILE)
-
-        def make() -> Iterable[Path]:
-            gait = self.solve(solver, "gait", self.options.seed)
-            gait.save(path)
-            measured = evaluate_switching(self.problem, gait, SWITCHING_CYCLES, self.options.seed)
-            write_json(switching, {"gait": measured.to_json()})
-            return [path, switching]
-
-        self.make("gait", self.gait_inputs(solver, self.options.seed), make)
-        return Gait.load(path)
-
-    def gait_inputs(self, solver: Any, seed: int) -> dict[str, Any]:
-        """Return all that gaits depend on."""
-        _, spec = self.body, self.spec
-        return {
-            "body": self.hashes["body.npz"],
-            "solver": solver.name,
-            "seed": seed,
-            "tasks": [dataclasses.asdict(task) for task in spec.gait_tasks],
-            "timestep": spec.timestep,
-            **spec.stepping,
-            "steps_per_cycle": spec.steps_per_cycle,
-            "steps": spec.gait_steps,
-            "space": spec.navigation.space,
-            "weights": dataclasses.asdict(spec.weights),
-            "axis": spec.axis,
-            "terrain": None if spec.terrain is None else terrain_json(spec.terrain),
-            "switching": SWITCHING_CYCLES,
-        }
-
-    @cached_property
-    def surrogate(self) -> Surrogate:
-        """The rigid surrogate of the gaits."""
-        from defplan_mj.planning.fit import fit_surrogate
-        from defplan_mj.planning.surrogate import Surrogate
-
-        path = self.folder.file("surrogate.npz")
-
-        def make() -> Iterable[Path]:
-            pairs, seed = self.options.pairs, self.options.seed
-            progress = self.progress("surrogate")
-            fit_surrogate(self.dynamics, self.gait, pairs, seed, progress).save(path)
-            return [path]
-
-        _ = self.gait
-        inputs = {
-            "gait": self.hashes["gait.npz"],
-            "pairs": self.options.pairs,
-            "seed": self.options.seed,
-        }
-        self.make("surrogate", inputs, make)
-        return Surrogate.load(path)
-
-    @cached_property
-    def planner(self) -> Planner:
-        """The planner, trained on the surrogate."""
-        solver, surrogate, navigation = self.planner_solver, self.surrogate, self.spec.navigation
-
-        def make() -> Iterable[Path]:
-            result = solver.train(
-                surrogate, navigation, self.options.seed, progress=self.progress("planner")
-            )
-            solver.save(result.planner, self.policy)
-            files.save_archive(
-                self.training,
-                "training",
-                TRAINING_VERSION,
-                {name: np.asarray(curve) for name, curve in result.curves.items()},
-                {"planner": solver.name, "seconds": result.seconds},
-            )
-            return [self.policy, self.training]
-
-        inputs = {
-            "surrogate": self.hashes["surrogate.npz"],
-            "planner": solver.name,
-            "navigation": dataclasses.asdict(navigation),
-            "seed": self.options.seed,
-        }
-        self.make("planner", inputs, make)
-        return solver.load(self.policy, surrogate, navigation)
-
-    # ---- the rest
-
-    def evaluation(self) -> dict[str, Any]:
-        """Evaluate the planner on the K2 and the novel scenes, with and without the shield.
-
-        The K2 episodes with the shield are logged, and some of the novel ones.
-
-        Returns:
-            {'k2' | 'novel': {'with_shield' | 'without_shield': evaluation}}.
+        Raises:
+            DefplanError: finished stages would be made anew, and that is not agreed to.
         """
-        path = self.folder.file(EVALUATION_FILE)
+        chain = self._chain(wanted)
+        self.consent.obtain(self._outlook(chain), str(self.folder.path), self.whole)
+        for stage in chain:
+            if stage.name not in self._done:
+                self._do(stage)
 
-        def make() -> Iterable[Path]:
-            found: dict[str, dict[str, Any]] = {}
-            logs: set[Path] = set()
-            logged = {"k2": self.spec.navigation.k2, "novel": self.options.logged}
-            for scenes, count in logged.items():
-                for shield in (True, False):
-                    name = "with_shield" if shield else "without_shield"
-                    episodes = self.options.episodes if scenes == "novel" else None
-                    log = Recorders(self.folder.path, scenes, count) if shield else None
-                    result = evaluate(self, scenes, shield, episodes=episodes, log=log)
-                    found.setdefault(scenes, {})[name] = result
-                    if log is not None:
-                        logs |= {log.path(i) for i in range(min(count, result["episodes"]))}
-            for stale in set(self.folder.path.glob("*.mcap")) - logs:
-                stale.unlink()
-            write_json(path, found)
-            return [path, *logs]
+    def renew_report(self) -> None:
+        """Write the report again if there is one and the folder holds more than it shows."""
+        if "report" in self.folder.records:
+            self.do("report")
 
-        _ = self.planner
-        wanted = {"episodes": self.options.episodes, "logged": self.options.logged}
-        self.make("evaluation", {**self._evaluated(), **wanted}, make)
-        return json.loads(path.read_text(encoding="utf-8"))
+    def _do(self, stage: Stage) -> None:
+        before = {name: self._done[name].contents for name in self._needs(stage)}
+        inputs = self._inputs(stage, before)
+        fresh = stage.name in self.anew
+        make = functools.partial(stage.make, self)
+        self._done[stage.name] = self.folder.stage(self._key(stage), inputs, make, fresh)
 
-    def moving(self) -> list[dict[str, Any]]:
-        """Evaluate the planner, in the shield, on K2 scenes whose obstacles move (the paper's Fig. 6).
+    def _chain(self, wanted: Iterable[str | Stage]) -> list[Stage]:
+        """Return the stages that are wanted, each after those that it needs, none twice."""
+        chain: dict[str, Stage] = {}
+        for one in wanted:
+            stage = self._stages[one] if isinstance(one, str) else one
+            self._stages.setdefault(stage.name, stage)
+            earlier = self._chain([*stage.needs, *stage.parts(self)])
+            chain |= {s.name: s for s in (*earlier, stage) if s.name not in chain}
+        return list(chain.values())
 
-        Returns:
-            an evaluation without its episodes for each of `SPEEDS`, with its 'speed' (m/s).
+    def _needs(self, stage: Stage) -> list[str]:
+        return [*stage.needs, *(part.name for part in stage.parts(self))]
+
+    def _inputs(self, stage: Stage, before: Mapping[str, Mapping[str, str]]) -> dict[str, Any]:
+        """Return everything a stage is made from."""
+        return plain_data({**stage.inputs(self), "before": before})
+
+    def _key(self, stage: Stage) -> str:
+        return stage.key(self) if stage.key else stage.name
+
+    # ---- what is about to be made anew
+
+    def _outlook(self, chain: list[Stage]) -> Outlook:
+        anew: list[Anew] = []
+        moved: set[str] = set()  # stages that may come out differently from what is there
+        for stage in chain:
+            if stage.name in self._done or stage.name == "report":
+                continue
+            reason = self._reason(stage, moved)
+            if reason is not None or not moved.isdisjoint(self._needs(stage)):
+                moved.add(stage.name)
+            if reason is not None and self._key(stage) in self.folder.records:
+                anew.append(reason)
+        return Outlook(anew, self._followers(moved, {entry.stage for entry in anew}))
+
+    def _reason(self, stage: Stage, moved: set[str]) -> Anew | None:
+        """Return why a stage has to be made, apart from what it follows from; None: it has not."""
+        record = self.folder.records.get(self._key(stage))
+        if record is None:
+            return Anew(stage.name, "missing")
+        if stage.name in self.anew:
+            return Anew(stage.name, "asked for")
+        inputs = self._inputs(stage, self._before(stage, record, moved))
+        if record.inputs == input_hash(inputs):
+            whole = self.folder.whole(self._key(stage))
+            return None if whole else Anew(stage.name, "its files are missing or damaged")
+        reason, asks = why_anew(record.made_from, inputs)
+        return Anew(stage.name, reason, asks and stage.guarded)
+
+    def _before(self, stage: Stage, record: Record, moved: set[str]) -> dict[str, Any]:
+        """Return the files before a stage: as they are, or as they were if they are still to be made."""
+        told = record.made_from.get("before")
+        was = told if isinstance(told, dict) else {}
+        found = {}
+        for name in self._needs(stage):
+            key = self._key(self._stages[name])
+            there = name not in moved and key in self.folder.records
+            found[name] = self.folder.records[key].contents if there else was.get(name, {})
+        return found
+
+    def _followers(self, moved: set[str], named: set[str]) -> list[str]:
+        """Return the finished stages that follow from those in `moved`."""
+        follow = set(moved)
+        for stage in STAGES:
+            if not follow.isdisjoint(stage.needs):
+                follow.add(stage.name)
+        finished = [s.name for s in STAGES if self._key(s) in self.folder.records]
+        return [name for name in finished if name in follow - named]
+
+    # ---- reading
+
+    def result(self, wanted: str | Stage) -> Any:
+        """Return what a stage that is done has made.
+
+        Raises:
+            KeyError: it is not done.
         """
-        if not self.options.moving:
-            return []
-        path = self.folder.file(MOVING_FILE)
+        name = wanted if isinstance(wanted, str) else wanted.name
+        if name not in self._done:
+            raise KeyError(f"stage {name} is not done yet")
+        if name not in self._results:
+            self._results[name] = self._stages[name].load(self)
+        return self._results[name]
 
-        def make() -> Iterable[Path]:
-            rows = []
-            for speed in SPEEDS:
-                result = evaluate(
-                    self, "k2", True, episodes=self.options.moving, obstacle_speed=speed
-                )
-                del result["rows"]
-                rows.append({"speed": speed, **result})
-            write_json(path, {"moving": rows})
-            return [path]
+    def figures(self, name: str) -> Any:
+        """Return what the JSON says of a stage that is done."""
+        return self._stages[name].figures(self)
 
-        _ = self.planner
-        self.make("moving", {**self._evaluated(), "episodes": self.options.moving}, make)
-        return json.loads(path.read_text(encoding="utf-8"))["moving"]
+    def is_done(self, name: str) -> bool:
+        """Return whether a stage was done in this process."""
+        return name in self._done
 
-    def report(self) -> Path:
-        """Write the report, or find it as it was written of the same files."""
-        from defplan_mj.report.report import write_report
+    def file(self, name: str) -> Path:
+        """Return the path of a file of this run."""
+        return self.folder.file(name)
 
-        path = self.folder.file(REPORT_FILE)
+    @property
+    def files(self) -> list[str]:
+        """Names of all files of the stages that are done."""
+        return sorted(name for record in self._done.values() for name in record.files)
 
-        def make() -> Iterable[Path]:
-            return [write_report(self.folder.path, self.progress("report"))]
-
-        self.make("report", dict(sorted(self.hashes.items())), make)
-        return path
-
-    # ---- helpers
-
-    @cached_property
-    def problem(self) -> GaitProblem:
-        """Eq. 1 for the task's body."""
-        from defplan_mj.gait.problem import GaitProblem
-
-        return GaitProblem.of(self.spec, self.dynamics)
-
-    def _evaluated(self) -> dict[str, Any]:
-        """Return what every evaluation depends on."""
-        return {
-            "surrogate": self.hashes["surrogate.npz"],
-            "policy": self.hashes[self.policy.name],
-            "planner": self.planner_solver.name,
-            "feedback": self.feedback_solver.name,
-            "navigation": dataclasses.asdict(self.spec.navigation),
-            "seed": self.options.seed,
-        }
-
-    def solve(self, solver: Any, stage: str, seed: int) -> Gait:
-        """Let a gait solver solve the problem; Ctrl-C is heard meanwhile."""
-        problem, progress = self.problem, self.progress(stage)
-        return threads.interruptible(lambda: solver.solve(problem, seed, progress))
+    def seconds(self, name: str) -> float:
+        """Return the wall time a stage took when it was made, s; 0: it is not done."""
+        return self._done[name].seconds if name in self._done else 0.0
 
     def total_seconds(self) -> float:
         """Return the wall time of all stages that this run's results are made of, s."""
-        return sum(self.folder.seconds(key) for key in self._used)
+        return sum(record.seconds for record in self._done.values())
 
-    def seconds(self, stage: str) -> float:
-        """Return the wall time a stage took when it was made, s."""
-        return self.folder.seconds(self._key(stage))
-
-    @property
-    def policy(self) -> Path:
-        """Where the planner lies; one that is not the task's own lies beside it."""
-        return self.folder.file(f"{self._of_planner('policy')}.npz")
-
-    @property
-    def training(self) -> Path:
-        """Where the planner's training curves lie."""
-        return self.folder.file(f"{self._of_planner('training')}.npz")
-
-    def _of_planner(self, name: str) -> str:
-        chosen = self.options.planner or self.spec.planner
-        return name if chosen == self.spec.planner else f"{name}-{chosen}"
-
-    def _key(self, stage: str) -> str:
-        return self._of_planner(stage) if stage == "planner" else stage
-
-    def make(self, stage: str, inputs: dict[str, Any], make: Callable[[], Iterable[Path]]) -> None:
-        """Make a stage or find it; remember the hashes of its files."""
-        fresh = self.options.remake == stage
-        self._used.add(self._key(stage))
-        self.hashes.update(self.folder.stage(self._key(stage), inputs, make, fresh))
-
-    def progress(self, stage: str) -> Progress:
+    def progress_of(self, stage: str) -> Progress:
         """Return a Progress that names the stage."""
 
         def show(message: str, fraction: float) -> None:
@@ -380,6 +211,8 @@ def open_run(
     *,
     whole: bool = False,
     fresh: bool = False,
+    consent: Consent = UNASKED,
+    anew: Iterable[str] = (),
 ) -> Iterator[Run]:
     """Open the folder `logs/<task>-seed<seed>` and yield its run.
 
@@ -389,29 +222,28 @@ def open_run(
         whole: the folder is for a whole run: what is not chosen is the default, whatever the folder's
             run was asked for before.
         fresh: forget everything made before.
+        consent, anew: see `Run`.
 
     Raises:
         DefplanError: the folder is in use or cannot be written.
     """
     path = logs / f"{spec.name}-seed{seed}"
-    before = {} if whole else read_config(path)
+    before = read_config(path)
     given = {name: value for name, value in chosen.items() if value is not None}
-    kept = {name: before[name] for name in CONFIGURATION if name in before}
-    options = RunOptions(seed=seed, **{**kept, **given})
-    config = {"task": spec.name, "seed": seed}
-    config |= {name: getattr(options, name) for name in CONFIGURATION}
+    kept = kept_options(before)
+    plan = Plan(spec, RunOptions(seed=seed, **{**({} if whole else kept), **given}))
+    if fresh and whole:
+        plan.check()  # before anything is forgotten
+    was_whole = before.get("whole") is True or has_run(path)
+    with RunFolder(path, _configuration(plan, before, whole or was_whole), fresh) as folder:
+        yield Run(plan, folder, progress, consent, anew, was_whole)
+
+
+def _configuration(plan: Plan, before: Mapping[str, Any], whole: bool) -> dict[str, Any]:
+    """Return what run.json says the run was asked for."""
+    config: dict[str, Any] = {"task": plan.spec.name, "seed": plan.options.seed}
+    config |= {name: getattr(plan.options, name) for name in CONFIGURATION}
+    config["whole"] = whole
     if not whole:  # what is tried beside the run's own does not take its place
-        config |= {name: kept.get(name) for name in ("planner", "feedback")}
-    with RunFolder(path, config, fresh) as folder:
-        yield Run(spec, folder, options, progress)
-
-
-def write_json(path: Path, data: Any) -> None:
-    """Write `data` as JSON, atomically."""
-    files.write_text(path, json.dumps(data, indent=1, default=_plain, allow_nan=False) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise TypeError(f"cannot write a {type(value).__name__} as JSON")
+        config |= {name: kept_options(before).get(name) for name in ("planner", "feedback")}
+    return config
