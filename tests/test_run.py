@@ -423,10 +423,7 @@ def test_an_edited_plugin_makes_anew_what_depends_on_it_and_says_so(
     for module in ("making", "evaluation"):
         monkeypatch.setattr(f"defplan_mj.pipeline.{module}.plugin_data", edited)
     assert setting.run(consent=consent)[1] == (0, 1)
-    assert said == [
-        "made anew: planner (the planner stubborn has changed); evaluation (the planner stubborn"
-        " has changed)"
-    ]
+    assert said == ["made anew: planner, evaluation (the planner stubborn has changed)"]
     source["gait"] = "edited"
     assert setting.run(consent=consent)[1] == (1, 0)  # the same gait again
     assert "gait (the gait solver wave has changed)" in said[-1]

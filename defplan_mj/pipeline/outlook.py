@@ -41,7 +41,10 @@ class Outlook:
     @property
     def text(self) -> str:
         """What is said; nothing if nothing is lost."""
-        reasons = "; ".join(f"{entry.stage} ({entry.reason})" for entry in self.anew)
+        stages: dict[str, list[str]] = {}
+        for entry in self.anew:
+            stages.setdefault(entry.reason, []).append(entry.stage)
+        reasons = "; ".join(f"{', '.join(names)} ({reason})" for reason, names in stages.items())
         after = ", ".join(self.after)
         if not self.anew:
             return f"made anew if it comes out differently: {after}" if after else ""
