@@ -7,6 +7,7 @@ A plugin that cannot be loaded is reported by its name when it is asked for; the
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -82,6 +83,14 @@ def get_solver(name: str, kind: str) -> Any:
         there = ", ".join(e.name for e in solvers(kind) if not e.error) or "none"
         raise DefplanError(f"{name} is a {solver.kind} solver, not a {label}; there is: {there}")
     return solver
+
+
+def modules_of(solver: Any) -> list[str]:
+    """Return the modules whose entry points name this solver."""
+    point = _points(SOLVERS).get(getattr(solver, "name", ""))
+    if point is None or point.module not in sys.modules:
+        return []
+    return [point.module] if point.load() is solver else []
 
 
 def _points(group: str) -> dict[str, EntryPoint]:

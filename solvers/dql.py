@@ -20,9 +20,6 @@ from defplan_mj.task import Navigation
 from defplan_solvers.loops import LoopBreaker
 from defplan_solvers.policy_files import load_policy, save_policy
 
-SAFETY_SECONDS = 600.0
-"""Wall time after which training stops even if its transitions are not used up, s."""
-
 
 @dataclass(frozen=True)
 class QNetwork:
@@ -96,15 +93,16 @@ class DqlSolver:
         plus success on the K2 scenes), by which the network is chosen.
 
         Args:
-            seconds: limit of the wall time (default 600); reached, the result depends on the machine.
+            seconds: limit of the wall time (None: none); reached, the result depends on the machine.
         """
         from defplan_solvers.dql_training import Recipe, train
 
         started = time.perf_counter()
-        limit = SAFETY_SECONDS if seconds is None else seconds
+        limit = float("inf") if seconds is None else seconds
         network, curves, meta = train(surrogate, navigation, seed, Recipe(), limit, progress)
         planner = DqlPlanner(network, surrogate, navigation, meta)
-        return TrainResult(planner, curves, time.perf_counter() - started)
+        spent = time.perf_counter() - started
+        return TrainResult(planner, curves, spent, meta["stopped_early"])
 
     def save(self, planner: Planner, path: Path) -> None:
         """Write the network to `path` (npz), atomically."""

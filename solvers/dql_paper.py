@@ -114,7 +114,9 @@ class DqlPaperSolver:
             surrogate, navigation, seed, self.configuration, seconds, progress
         )
         planner = DqlPaperPlanner(network, surrogate.task_names, meta)
-        return TrainResult(planner, curves, time.perf_counter() - started)
+        spent = time.perf_counter() - started
+        cut_short = meta["iterations"] < self.configuration.iterations
+        return TrainResult(planner, curves, spent, cut_short)
 
     def save(self, planner: Planner, path: Path) -> None:
         """Write the networks to `path` (npz), atomically."""

@@ -8,9 +8,10 @@ import json
 import numpy as np
 import pytest
 
-from defplan_mj import bench, registry
+from defplan_mj import registry
 from defplan_mj.cli.text import bench_text
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.studies import bench
 
 
 def test_a_timing_knows_median_and_p99():

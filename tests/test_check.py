@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from defplan_mj import check, registry
+from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli import main
 from defplan_mj.gait.gait import Gait
+from defplan_mj.studies import check
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import signal
@@ -178,6 +179,39 @@ def test_progress_is_plain_lines_where_there_is_no_terminal(capfd):
     with Console(quiet=True).progress() as progress:
         progress("meshing", 0.0)
     assert capfd.readouterr().err == ""
+
+
+class Terminal(io.StringIO):
+    """A terminal with something typed."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize(
+    ("typed", "agreed"),
+    [("y\n", True), ("yes\n", True), ("\n", False), ("n\n", False), ("", False)],
+)
+def test_a_question_is_agreed_to_by_yes_alone(monkeypatch, typed, agreed):
+    monkeypatch.setattr("sys.stdin", Terminal(typed))
+    monkeypatch.setattr("sys.stderr", screen := Terminal())
+    ask = Console().asker()
+    assert ask is not None and ask("Go on?") is agreed
+    assert screen.getvalue() == "Go on? [y/N] "
+    assert Console(json=True).asker() is None and Console(quiet=True).asker() is None
+
+
+def test_nobody_is_asked_where_there_is_no_terminal(monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
+    assert Console().asker() is None
+
+
+def test_a_progress_bar_does_not_show_before_there_is_progress(monkeypatch):
+    monkeypatch.setattr("sys.stderr", screen := Terminal())
+    with Console().progress() as progress:
+        assert screen.getvalue() == ""
+        progress("meshing", 0.5)
+    assert "meshing" in screen.getvalue()
 
 
 def test_a_table_lines_up_its_columns():

@@ -248,3 +248,16 @@ def test_policies_that_do_not_fit_are_refused_in_one_sentence(tmp_path):
         SOLVER.load(path, samples.surrogate(), NAVIGATION)
     with pytest.raises(DefplanError, match="does not exist"):
         SOLVER.load(tmp_path / "nothing.npz", samples.surrogate(), NAVIGATION)
+
+
+@pytest.mark.parametrize(("seconds", "limit"), [(None, float("inf")), (5.0, 5.0)])
+def test_the_clock_ends_a_training_only_if_that_is_asked_for_and_then_it_is_told(
+    monkeypatch, seconds, limit
+):
+    def trained(surrogate, navigation, seed, recipe, allowed, progress):
+        assert allowed == limit
+        return None, {}, {"stopped_early": allowed < float("inf")}
+
+    monkeypatch.setattr("defplan_solvers.dql_training.train", trained)
+    result = SOLVER.train(samples.surrogate(), Navigation(), 0, seconds)
+    assert result.cut_short is (seconds is not None)

@@ -213,3 +213,15 @@ def test_an_archive_with_an_object_in_it_is_refused_and_not_unpickled(tmp_path, 
     with pytest.raises(DefplanError, match="not a whole thing file"):
         files.load_archive("x.npz", "thing", 1)
     assert not os.path.exists("unpickled")
+
+
+def test_wall_times_have_no_part_in_a_content_hash(tmp_path):
+    arrays = {"a": np.arange(3.0)}
+    slow = {"seconds": 9.0, "stages": [{"name": "x", "seconds": 4.0}], "cycle_seconds": 0.4}
+    fast = {"seconds": 1.0, "stages": [{"name": "x", "seconds": 2.0}], "cycle_seconds": 0.4}
+    assert files.content_hash(arrays, slow) == files.content_hash(arrays, fast)
+    assert files.content_hash(arrays, slow) != files.content_hash(
+        arrays, {**slow, "cycle_seconds": 1.0}
+    )
+    digest = files.save_archive(tmp_path / "a.npz", "gait", 1, arrays, slow)
+    assert files.load_archive(tmp_path / "a.npz", "gait", 1)[1:] == (slow, digest)

@@ -7,9 +7,7 @@ import planning_samples as samples
 import pytest
 
 from defplan_mj.body.model import Body
-from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
-from defplan_mj.host.navigation import navigation_environment
 from defplan_mj.planning.evaluation import (
     Episode,
     EvaluationResult,
@@ -18,6 +16,7 @@ from defplan_mj.planning.evaluation import (
     wilson_interval,
 )
 from defplan_mj.planning.fit import fit_surrogate
+from defplan_mj.planning.robot import Robot
 from defplan_mj.task import Navigation
 from defplan_tasks.environments import ASSETS
 
@@ -61,13 +60,13 @@ class Note:
 
 @pytest.fixture(scope="module")
 def robot():
-    """Return the packaged fish: body and gait."""
-    return Body.load(ASSETS / "fish_body.npz"), Gait.load(ASSETS / "fish_gait.npz")
+    """Return the packaged fish."""
+    return Robot(Body.load(ASSETS / "fish_body.npz"), Gait.load(ASSETS / "fish_gait.npz"))
 
 
 @pytest.fixture(scope="module")
 def env(robot):
-    return navigation_environment(*robot, NAVIGATION, lambda random: samples.scene())
+    return robot.environment(NAVIGATION, lambda random: samples.scene())
 
 
 def scenes():
@@ -145,7 +144,7 @@ def test_the_result_does_not_depend_on_the_number_of_processes(robot):
     told = []
     results = [
         evaluate(
-            *robot,
+            robot,
             samples.surrogate(),
             NAVIGATION,
             Fixed(0),
@@ -164,11 +163,10 @@ def test_the_result_does_not_depend_on_the_number_of_processes(robot):
 
 
 def test_the_shield_turns_a_collision_away(robot):
-    body, gait = robot
-    surrogate = fit_surrogate(ReducedDynamics(body, gait.timestep), gait, 20)
+    surrogate = fit_surrogate(robot.dynamics, robot.gait, 20)
     ahead = scenes()[1:2]
     bare, shielded = (
-        evaluate(*robot, surrogate, NAVIGATION, Fixed(0), ahead, shield=shield, workers=1)
+        evaluate(robot, surrogate, NAVIGATION, Fixed(0), ahead, shield=shield, workers=1)
         for shield in (False, True)
     )
     assert bare.episodes[0].outcome == "collision"

@@ -33,6 +33,8 @@ from defplan_mj.report.planning_sections import MANY
 SECTIONS = {
     "body": "Body and modes",
     "gaits": "Gaits",
+    "check": "How true the gaits are",
+    "robustness": "In worlds that are not the model's",
     "surrogate": "Rigid surrogate",
     "training": "Training of the planner",
     "success": "Does it arrive?",

@@ -14,7 +14,7 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
 from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.gait.gait import Gait
-from defplan_mj.robustness import (
+from defplan_mj.studies.robustness import (
     CALM,
     Condition,
     PerturbedWalk,

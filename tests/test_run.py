@@ -19,13 +19,21 @@ from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import no_progress
 from defplan_mj.body.build import build_body
+from defplan_mj.cli.text import STAGE_TEXTS, run_text
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.replay import replay_log
+from defplan_mj.pipeline.evaluation import SPEEDS
+from defplan_mj.pipeline.outlook import Consent
+from defplan_mj.pipeline.provenance import plugin_data
+from defplan_mj.pipeline.results import run_results
+from defplan_mj.pipeline.robustness import robustness
+from defplan_mj.pipeline.run import open_run
+from defplan_mj.pipeline.stages import STAGES
 from defplan_mj.planning.outcome import ENDINGS
 from defplan_mj.planning.planner import TrainResult
-from defplan_mj.results import run_results
-from defplan_mj.run import SPEEDS, open_run
+from defplan_mj.report.material import gather
+from defplan_mj.report.report import SECTIONS
 from defplan_mj.task import BodyOptions, Navigation, TaskSpec
 
 NAVIGATION = Navigation(
@@ -122,9 +130,12 @@ class Setting:
         whole = options.pop("whole", True)
         fresh = options.pop("fresh", False)
         seed = options.pop("seed", 0)
+        consent = options.pop("consent", Consent(options.pop("remake", False)))
         chosen = {"rivals": ["none"], "pairs": 12, "episodes": 3, "logged": 1, "moving": 0}
         chosen |= options
-        with open_run(self.spec, self.logs, seed, chosen, whole=whole, fresh=fresh) as run:
+        with open_run(
+            self.spec, self.logs, seed, chosen, whole=whole, fresh=fresh, consent=consent
+        ) as run:
             results = run_results(run)
         return results, (self.wave.calls - before[0], self.stubborn.calls - before[1])
 
@@ -209,8 +220,9 @@ def test_a_run_returns_what_the_command_line_promises_and_is_used_again(setting)
 
     # a stage command takes the run's own options from the folder
     with open_run(setting.spec, setting.logs) as run:
-        assert run.surrogate.pairs == 12
-        assert run.options.episodes == 3
+        run.do("surrogate")
+        assert run.result("surrogate").pairs == 12
+        assert run.plan.options.episodes == 3
 
 
 def test_what_is_damaged_or_changed_is_made_anew_and_nothing_before_it(setting, short_report):
@@ -225,7 +237,7 @@ def test_what_is_damaged_or_changed_is_made_anew_and_nothing_before_it(setting, 
 
     (folder / "policy.npz").unlink()
     assert setting.run()[1] == (0, 1)
-    third, made = setting.run(pairs=14)
+    third, made = setting.run(pairs=14, remake=True)
     assert made == (0, 1) and third["surrogate"]["pairs"] == 14
     assert (folder / "body.npz").stat().st_mtime_ns == body
     (folder / "k2-01.mcap").unlink()
@@ -235,7 +247,7 @@ def test_what_is_damaged_or_changed_is_made_anew_and_nothing_before_it(setting, 
 
 def test_a_second_planner_keeps_the_gaits_and_lies_beside_the_first(setting, short_report):
     setting.run()
-    results, made = setting.run(planner="other")
+    results, made = setting.run(planner="other", remake=True)
     assert made == (0, 1)
     assert os.path.basename(results["files"]["policy"]) == "policy-other.npz"
     assert (setting.logs / "fish-swim-seed0" / "policy.npz").is_file()
@@ -285,7 +297,7 @@ def test_episodes_among_moving_obstacles_are_counted_at_every_speed(setting, sho
 def test_a_feedback_changes_the_episodes_and_nothing_before_them(setting, short_report):
     before, _ = setting.run()
     opened = read_log(before["files"]["log"])
-    results, made = setting.run(feedback="ilqg")
+    results, made = setting.run(feedback="ilqg", remake=True)
     assert made == (0, 0)
     shapes = [log.target_shapes for log in (opened, read_log(results["files"]["log"]))]
     n = min(map(len, shapes))
@@ -320,6 +332,220 @@ def test_an_interruption_loses_nothing_made_before(setting, monkeypatch):
     assert setting.wave.calls == 1
     for name, time in kept.items():
         assert (folder / name).stat().st_mtime_ns == time
+
+
+def contents(folder):
+    """Return every file of a folder with its bytes."""
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"pairs": 14}, r"surrogate \(pairs is 14, was 12\); what follows from it: planner, eval"),
+        ({"planner": "other"}, r"evaluation \(planner is other, was stubborn\)"),
+        ({"feedback": "ilqg"}, r"evaluation \(feedback is ilqg, was none\)"),
+        ({"gait_solver": "rival"}, r"gait \(gait_solver is rival, was wave\); what follows"),
+    ],
+)
+def test_a_finished_run_is_not_made_anew_for_an_option_unless_that_is_said(
+    setting, short_report, monkeypatch, options, told
+):
+    setting.run()
+    setting.stubborn.name = options.get("planner", "stubborn")
+    folder = setting.logs / "fish-swim-seed0"
+    before = contents(folder)
+    with pytest.raises(DefplanError, match=told) as error:
+        setting.run(**options)
+    assert "add --remake" in str(error.value) and "\n" not in str(error.value)
+    assert contents(folder) == before
+    _, made = setting.run(**options, remake=True)
+    assert contents(folder) != before
+
+
+def test_a_stopped_run_of_other_options_is_asked_about_too(setting, monkeypatch, short_report):
+    def stop(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(setting.stubborn, "train", stop)
+        setting.run()
+    with pytest.raises(DefplanError, match="pairs is 14, was 12"):
+        setting.run(pairs=14)
+
+
+def test_a_terminal_is_asked_and_a_no_changes_nothing(setting, short_report):
+    setting.run()
+    folder = setting.logs / "fish-swim-seed0"
+    before, said = contents(folder), []
+    with pytest.raises(DefplanError, match="was changed"):
+        setting.run(pairs=14, consent=Consent(say=said.append, ask=lambda question: False))
+    assert contents(folder) == before
+    assert said == [
+        "made anew: surrogate (pairs is 14, was 12); what follows from it: planner, evaluation"
+    ]
+    with pytest.raises(DefplanError, match="add --remake"):
+        setting.run(pairs=14, consent=Consent(say=said.append))
+    assert len(said) == 1  # a refusal is one sentence: nothing is said beside it
+    results, _ = setting.run(pairs=14, consent=Consent(ask=lambda question: True))
+    assert results["surrogate"]["pairs"] == 14
+
+
+def test_stages_made_one_by_one_are_made_anew_without_a_question(setting):
+    for pairs in (12, 14):
+        with open_run(setting.spec, setting.logs, chosen={"pairs": pairs}) as run:
+            run.do("surrogate")
+            assert run.result("surrogate").pairs == pairs
+
+
+def test_a_run_of_an_earlier_version_is_not_made_anew_unasked(setting, short_report):
+    setting.run()
+    path = setting.logs / "fish-swim-seed0" / "run.json"
+    data = json.loads(path.read_text())
+    for record in data["stages"].values():
+        record["inputs"] = "0" * 64
+        del record["made_from"], record["contents"]
+    path.write_text(json.dumps(data))
+    with pytest.raises(DefplanError, match="made by another version of defplan"):
+        setting.run()
+    assert setting.run(remake=True)[1] == (1, 1)
+
+
+def test_an_edited_plugin_makes_anew_what_depends_on_it_and_says_so(
+    setting, short_report, monkeypatch
+):
+    setting.run()
+    said: list[str] = []
+    consent = Consent(say=said.append)
+    source = {"planner": "edited"}
+
+    def edited(solver):
+        data = plugin_data(solver)
+        return {**data, "source": source.get(solver.kind, data["source"])}
+
+    for module in ("making", "evaluation"):
+        monkeypatch.setattr(f"defplan_mj.pipeline.{module}.plugin_data", edited)
+    assert setting.run(consent=consent)[1] == (0, 1)
+    assert said == ["made anew: planner, evaluation (the planner stubborn has changed)"]
+    source["gait"] = "edited"
+    assert setting.run(consent=consent)[1] == (1, 0)  # the same gait again
+    assert "gait (the gait solver wave has changed)" in said[-1]
+
+
+def test_a_gait_that_took_another_time_is_the_same_gait(setting, short_report, monkeypatch):
+    solve, times = setting.wave.solve, iter((1.0, 2.0))
+
+    def timed(problem, seed, progress=no_progress):
+        gait = solve(problem, seed, progress)
+        return dataclasses.replace(gait, meta={**gait.meta, "seconds": next(times)})
+
+    monkeypatch.setattr(setting.wave, "solve", timed)
+    setting.run()
+    (setting.logs / "fish-swim-seed0" / "gait.npz").unlink()
+    assert setting.run()[1] == (1, 0)
+
+
+def test_a_training_that_is_cut_short_says_so_everywhere(setting, monkeypatch, capfd):
+    limits = []
+
+    def train(surrogate, navigation, seed, seconds=None, progress=no_progress):
+        limits.append(seconds)
+        return TrainResult(Straight(), {"iterations": np.arange(3.0)}, 0.0, seconds is not None)
+
+    monkeypatch.setattr(setting.stubborn, "train", train)
+    folder = setting.logs / "fish-swim-seed0"
+    results, _ = setting.run()
+    assert results["planner"] == {"planner": "stubborn", "cut_short": False}
+    assert "cut short" not in (folder / "report.html").read_text()
+    results, _ = setting.run(training_seconds=2.0, remake=True)
+    assert limits == [None, 2.0] and results["planner"]["cut_short"]
+    assert "cut short" in run_text(results)
+    assert "cut short" in (folder / "report.html").read_text()
+    argv = ["planner", "fish-swim", "--logs", str(setting.logs), "--quiet"]
+    assert cli.main(argv) == 0 and "cut short" in capfd.readouterr().out
+
+
+def test_nothing_is_made_by_looking(setting):
+    with (
+        open_run(setting.spec, setting.logs) as run,
+        pytest.raises(KeyError, match="gait is not done"),
+    ):
+        run.result("gait")
+    assert setting.wave.calls == 0
+
+
+def test_robustness_reaches_the_report_of_a_run(setting, capfd):
+    setting.run()
+    report = setting.logs / "fish-swim-seed0" / "report.html"
+    assert "Not measured yet" in report.read_text()
+    argv = "robustness fish-swim --feedback none --cycles 3 --quiet --json".split()
+    assert cli.main([*argv, "--logs", str(setting.logs)]) == 0
+    assert json.loads(capfd.readouterr().out)["cycles"] == 3
+    page = report.read_text()
+    assert "Not measured yet" not in page and "pushes, 0.3 m/s" in page
+    assert setting.run()[1] == (0, 0) and report.read_text() == page
+
+
+def test_a_check_reaches_the_report_of_a_run(setting, capfd):
+    setting.run()
+    folder = setting.logs / "fish-swim-seed0"
+    assert "Not checked yet" in (folder / "report.html").read_text()
+    assert cli.main(["check", "fish-swim", "--run", str(folder), "--no-full", "--quiet"]) == 0
+    page = (folder / "report.html").read_text()
+    assert "Not checked yet" not in page and "substeps x 4" in page
+    document = json.loads((folder / "check.json").read_text())
+    (folder / "check.json").write_text(json.dumps({**document, "gait": "0" * 64}))
+    setting.run()
+    assert "Checked with other gaits" in (folder / "report.html").read_text()
+
+
+def test_a_stage_that_has_figures_is_told_and_shown(setting, tmp_path):
+    shown = {make(gather(tmp_path)).name for make in SECTIONS}
+    stages = [*STAGES, robustness(setting.spec)]
+    for stage in stages:
+        assert set(stage.sections) <= shown, stage.name
+    results, _ = setting.run(moving=1)
+    told = [stage.name for stage in stages if stage.name in results]
+    assert told == [name for name in STAGE_TEXTS if name != "robustness"]
+
+
+def test_a_single_stage_of_a_whole_run_is_guarded_too(setting, short_report, capfd):
+    setting.run()
+    folder = setting.logs / "fish-swim-seed0"
+    before = contents(folder)
+    argv = ["surrogate", "fish-swim", "--pairs", "14", "--logs", str(setting.logs)]
+    assert cli.main(argv) == 1
+    refusal = capfd.readouterr().err
+    assert "pairs is 14, was 12" in refusal and refusal.count("\n") == 1
+    assert contents(folder) == before
+    assert cli.main([*argv, "--remake", "--json"]) == 0
+    captured = capfd.readouterr()
+    assert json.loads(captured.out)["pairs"] == 14
+    assert captured.err.startswith("made anew: surrogate (pairs is 14, was 12); what follows")
+
+
+@pytest.mark.parametrize(
+    "planted", [{"made_from": {"options": 5, "before": 7}}, {"files": {"../x": "0"}}]
+)
+def test_whatever_a_foreign_run_file_says_the_run_goes_on(setting, short_report, planted):
+    setting.run()
+    path = setting.logs / "fish-swim-seed0" / "run.json"
+    data = json.loads(path.read_text())
+    data["stages"]["surrogate"] |= {"inputs": "0" * 64, **planted}
+    data["config"] |= {"pairs": "many", "planner": 7, "rivals": "x", "whole": "yes"}
+    path.write_text(json.dumps(data))
+    assert setting.run(remake=True)[0]["surrogate"]["pairs"] == 12
+
+
+def test_logs_of_the_user_in_a_runs_folder_stay(setting, short_report):
+    folder = setting.logs / "fish-swim-seed0"
+    folder.mkdir(parents=True)
+    for name in ("mine.mcap", "k2-mine.mcap"):
+        (folder / name).write_bytes(b"mine")
+    (folder / "novel-77.mcap").write_bytes(b"of an evaluation before")
+    setting.run()
+    assert (folder / "mine.mcap").exists() and (folder / "k2-mine.mcap").exists()
+    assert not (folder / "novel-77.mcap").exists()
 
 
 def test_view_lets_the_planner_steer_the_runs_environment(setting, monkeypatch, capfd):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
@@ -11,7 +12,7 @@ import pytest
 
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.store import RUN_FILE, RunFolder, input_hash
+from defplan_mj.pipeline.store import RUN_FILE, RunFolder, input_hash
 
 
 class Stage:
@@ -31,7 +32,7 @@ def run(path, inputs, fresh=False, text="made"):
     """Open the folder, ask for one stage; return whether it was made and its file hashes."""
     with RunFolder(path, {"seed": 0}, fresh) as folder:
         stage = Stage(folder, text=text)
-        hashes = folder.stage("body", inputs, stage.make)
+        hashes = folder.stage("body", inputs, stage.make).files
     return stage.made == 1, hashes
 
 
@@ -117,7 +118,7 @@ def test_what_a_killed_writer_left_is_removed(tmp_path):
 
 def test_a_folder_belongs_to_one_process_at_a_time(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from defplan_mj.store import RunFolder\n"
+        "import sys; from pathlib import Path; from defplan_mj.pipeline.store import RunFolder\n"
         "with RunFolder(Path(sys.argv[1]), {}): pass"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]
@@ -141,9 +142,69 @@ def test_the_input_hash_depends_on_every_input_but_not_on_their_order():
 
 def test_a_lock_does_not_outlive_its_process(tmp_path):
     code = (
-        "import os, sys; from pathlib import Path; from defplan_mj.store import RunFolder\n"
+        "import os, sys; from pathlib import Path; from defplan_mj.pipeline.store import RunFolder\n"
         "RunFolder(Path(sys.argv[1]), {}).__enter__(); os._exit(1)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=False)
     with RunFolder(tmp_path, {}):
         assert os.path.exists(tmp_path)
+
+
+def planted(path, names):
+    """Write a run.json, as another program might, whose stage left files of these names."""
+    record = {"inputs": "0" * 64, "files": dict.fromkeys(names, "0" * 64), "seconds": 1.0}
+    text = json.dumps({"format": 1, "config": {}, "stages": {"body": record}})
+    (path / RUN_FILE).write_text(text)
+
+
+@pytest.mark.parametrize("name", ["../../x", "/tmp/x", "..", "a/x", ".lock", ".x", ""])
+def test_a_foreign_run_file_cannot_name_what_lies_elsewhere(tmp_path, name):
+    folder = tmp_path / "a" / "b"
+    (folder / "a").mkdir(parents=True)
+    outside = [tmp_path / "x", folder / "a" / "x", folder / ".x"]
+    for path in outside:
+        path.write_text("mine")
+    absolute = str(tmp_path / "x") if name.startswith("/") else name
+    planted(folder, [absolute, "old.txt"])
+    (folder / "old.txt").write_text("mine")
+    assert run(folder, {"mesh": "a"})[0]
+    assert all(path.read_text() == "mine" for path in outside)
+    assert (folder / "old.txt").exists()  # the whole record counts as not there
+
+
+def test_a_plain_name_may_be_a_folder_and_stays(tmp_path):
+    planted(tmp_path, ["mine"])
+    (tmp_path / "mine").mkdir()
+    assert run(tmp_path, {"mesh": "a"})[0]
+    assert (tmp_path / "mine").is_dir()
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", "", ".hidden"])
+def test_a_file_of_a_run_has_a_plain_name(tmp_path, name):
+    with pytest.raises(DefplanError, match="must be a plain one"):
+        RunFolder(tmp_path, {}).file(name)
+
+
+def test_hidden_files_of_the_user_stay(tmp_path):
+    mine = [tmp_path / name for name in (".mine.npz", ".notes.json", ".body.txt")]
+    for path in mine:
+        path.write_text("mine")
+    with RunFolder(tmp_path, {}):
+        assert all(path.exists() for path in mine)
+
+
+@pytest.mark.parametrize("code", [errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK])
+def test_a_file_system_without_locks_is_called_that(tmp_path, monkeypatch, code):
+    def flock(stream, operation):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    with pytest.raises(DefplanError, match="knows no locks") as error, RunFolder(tmp_path, {}):
+        pass
+    assert "another defplan" not in str(error.value) and "\n" not in str(error.value)
+
+
+def test_what_a_stage_was_made_from_can_be_read_in_its_folder(tmp_path):
+    run(tmp_path, {"options": {"pairs": 3}})
+    stages = json.loads((tmp_path / RUN_FILE).read_text())["stages"]
+    assert stages["body"]["made_from"] == {"options": {"pairs": 3}}

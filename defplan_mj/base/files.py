@@ -92,7 +92,22 @@ def plain(value: Any) -> Any:
 
 
 def content_hash(arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of names, types, shapes and bytes of `arrays` and of `meta` (64 hex digits)."""
+    """Return the SHA-256 of names, types, shapes and bytes of `arrays` and of `meta` (64 hex digits).
+
+    Wall times, which `meta` holds under the name 'seconds' at any depth, have no part in it: the same
+    work done twice has the same hash.
+    """
+    return _content_hash(arrays, without_times(meta))
+
+
+def without_times(meta: Any) -> Any:
+    """Return plain data without the entries called 'seconds', at any depth."""
+    if isinstance(meta, Mapping):
+        return {name: without_times(value) for name, value in meta.items() if name != "seconds"}
+    return [without_times(value) for value in meta] if isinstance(meta, list | tuple) else meta
+
+
+def _content_hash(arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> str:
     digest = hashlib.sha256(json.dumps(meta, sort_keys=True).encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
@@ -182,8 +197,29 @@ def load_archive(
             f"{source} has {kind} format {header.get('version')}, this version reads {version}: {remake}"
         )
     meta = header["meta"]
-    if content_hash(contents, meta) != digest:
+    # files from before wall times were left out are hashed with them
+    if digest not in (content_hash(contents, meta), _content_hash(contents, meta)):
         raise DefplanError(
             f"{source} is damaged: its content does not match its hash; make it anew"
         )
     return contents, meta, digest
+
+
+def archive_hash(path: str | Path) -> str:
+    """Return the content hash that an archive of `save_archive` says it has; '' if it is none."""
+    return str(_header(path).get("hash", ""))
+
+
+def archive_meta(path: str | Path) -> dict[str, Any]:
+    """Return what an archive of `save_archive` says beside its arrays; nothing if it is none."""
+    meta = _header(path).get("meta", {})
+    return meta if isinstance(meta, dict) else {}
+
+
+def _header(path: str | Path) -> dict[str, Any]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            header = json.loads(archive[_HEADER].tobytes())
+    except Exception:  # of another kind, or damaged: np.load raises a dozen kinds
+        return {}
+    return header if isinstance(header, dict) else {}

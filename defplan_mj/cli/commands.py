@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from defplan_mj.cli.console import Console
@@ -16,6 +17,7 @@ from defplan_mj.cli.text import (
     check_text,
     evaluation_text,
     gait_text,
+    planner_text,
     robustness_text,
     run_text,
     surrogate_text,
@@ -23,7 +25,7 @@ from defplan_mj.cli.text import (
 
 if TYPE_CHECKING:
     from defplan_mj.base.progress import Progress
-    from defplan_mj.run import Run
+    from defplan_mj.pipeline.run import Run
 
 
 def list_installed(arguments: argparse.Namespace, console: Console) -> int:
@@ -74,7 +76,7 @@ def _left(rows: list[list[str]]) -> str:
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
     """Do everything from the mesh to the report."""
-    from defplan_mj.results import run_results
+    from defplan_mj.pipeline.results import run_results
 
     chosen = {
         "gait_solver": arguments.gait_solver,
@@ -84,11 +86,12 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         "solver_seeds": arguments.solver_seeds,
         "moving": arguments.moving,
         "pairs": arguments.pairs,
+        "training_seconds": arguments.training_seconds,
         "episodes": arguments.episodes,
     }
     with (
         console.progress() as progress,
-        _open(arguments, progress, whole=True, **chosen) as run,
+        _open(arguments, console, progress, whole=True, **chosen) as run,
     ):
         data = run_results(run)
     console.result(data, run_text(data))
@@ -97,51 +100,56 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def gait(arguments: argparse.Namespace, console: Console) -> int:
     """Optimise the task's gaits, and say what they do."""
-    from defplan_mj.results import gait_results
-
-    with _stage(arguments, console, "gait", gait_solver=arguments.solver) as run:
-        data = {**gait_results(run), "seconds": run.folder.seconds("gait")}
-        data["file"] = run.folder.file("gait.npz")
+    data = _make(arguments, console, "gait", "gait.npz", gait_solver=arguments.solver)
     console.result(data, f"{data['file']}, {data['seconds']:.1f} s\n{gait_text(data)}")
     return 0
 
 
 def surrogate(arguments: argparse.Namespace, console: Console) -> int:
     """Fit the rigid surrogate, and print its row of the paper's Table III."""
-    from defplan_mj.results import surrogate_results
-
-    with _stage(arguments, console, "surrogate", pairs=arguments.pairs) as run:
-        data = {**surrogate_results(run), "seconds": run.folder.seconds("surrogate")}
-        data["file"] = run.folder.file("surrogate.npz")
+    data = _make(arguments, console, "surrogate", "surrogate.npz", pairs=arguments.pairs)
     console.result(data, f"{data['file']}, {data['seconds']:.1f} s\n{surrogate_text(data)}")
     return 0
 
 
+def _make(
+    arguments: argparse.Namespace, console: Console, stage: str, file: str, **chosen: Any
+) -> dict[str, Any]:
+    """Make one stage; return its figures, seconds and file."""
+    with _stage(arguments, console, stage, **chosen) as run:
+        run.do(stage)
+        return {**run.figures(stage), "seconds": run.seconds(stage), "file": run.file(file)}
+
+
 def planner(arguments: argparse.Namespace, console: Console) -> int:
     """Train a planner on the surrogate."""
-    with _stage(arguments, console, "planner", planner=arguments.planner) as run:
-        _ = run.planner
+    from defplan_mj.pipeline.making import policy_file, training_file
+
+    chosen = {"planner": arguments.planner, "training_seconds": arguments.training_seconds}
+    with _stage(arguments, console, "planner", **chosen) as run:
+        run.do("planner")
         data = {
-            "planner": run.planner_solver.name,
+            **run.figures("planner"),
             "seconds": run.seconds("planner"),
-            "file": run.policy,
-            "training": run.training,
+            "file": policy_file(run),
+            "training": training_file(run),
         }
-    console.result(data, f"{data['file']}: {data['planner']}, trained in {data['seconds']:.1f} s")
+    console.result(data, planner_text(data))
     return 0
 
 
 def evaluate(arguments: argparse.Namespace, console: Console) -> int:
     """Let a planner steer the reduced dynamics through scenes, and count how the episodes end."""
-    from defplan_mj.results import without_rows
-    from defplan_mj.trial import Recorders
-    from defplan_mj.trial import evaluate as try_planner
+    from defplan_mj.pipeline.evaluation import without_rows
+    from defplan_mj.pipeline.trial import Recorders
+    from defplan_mj.pipeline.trial import evaluate as try_planner
 
     log = None
     if arguments.log is not None:
         log = Recorders(arguments.log, arguments.scenes, 10**9)
     chosen = {"planner": arguments.planner, "feedback": arguments.feedback}
     with _stage(arguments, console, "evaluation", **chosen) as run:
+        run.do("planner")
         result = try_planner(
             run,
             arguments.scenes,
@@ -154,8 +162,8 @@ def evaluate(arguments: argparse.Namespace, console: Console) -> int:
     data = {
         "task": arguments.task,
         "seed": arguments.seed,
-        "planner": run.planner_solver.name,
-        "feedback": run.feedback_solver.name,
+        "planner": run.plan.planner.name,
+        "feedback": run.plan.feedback.name,
         "shield": arguments.shield,
         "scenes": arguments.scenes,
         **without_rows(result),
@@ -166,10 +174,15 @@ def evaluate(arguments: argparse.Namespace, console: Console) -> int:
 
 def robustness(arguments: argparse.Namespace, console: Console) -> int:
     """Switch a task's gaits at random in worlds that are not the model's, with each feedback."""
-    from defplan_mj.robustness import study
+    from defplan_mj import registry
+    from defplan_mj.pipeline.robustness import robustness as stage_of
 
+    spec = registry.get_task(arguments.task)
+    stage = stage_of(spec, arguments.feedback or (), arguments.cycles, arguments.push)
     with _stage(arguments, console, "robustness") as run:
-        data = study(run, arguments.feedback or (), arguments.cycles, arguments.push)
+        run.do(stage)
+        data = run.figures("robustness")
+        run.renew_report()
     console.result(data, robustness_text(data))
     return 0
 
@@ -177,8 +190,7 @@ def robustness(arguments: argparse.Namespace, console: Console) -> int:
 def check(arguments: argparse.Namespace, console: Console) -> int:
     """Play a task's gaits with finer steps and through the full FEM, and say what changes."""
     from defplan_mj import registry
-    from defplan_mj.check import CHECK_FILE, check_gaits, of_run, shipped
-    from defplan_mj.run import write_json
+    from defplan_mj.studies.check import check_gaits, of_run, shipped
 
     spec = registry.get_task(arguments.task)
     body, gait = shipped(spec) if arguments.run is None else of_run(arguments.run)
@@ -186,39 +198,65 @@ def check(arguments: argparse.Namespace, console: Console) -> int:
         data = check_gaits(
             spec, body, gait, arguments.full, arguments.cycles, arguments.seed, progress
         )
-    if arguments.run is not None:
-        write_json(arguments.run / CHECK_FILE, data)
+        if arguments.run is not None:
+            _keep_check(arguments.run, {**data, "gait": gait.hash}, progress)
     console.result(data, check_text(data))
     return 0
 
 
+def _keep_check(folder: Path, data: dict[str, Any], progress: Progress) -> None:
+    """Write a check's figures into a run's folder, and into its report if there is one."""
+    from defplan_mj.pipeline.stages import REPORT_FILE
+    from defplan_mj.pipeline.store import write_json
+    from defplan_mj.studies.check import CHECK_FILE
+
+    write_json(folder / CHECK_FILE, data)
+    if (folder / REPORT_FILE).is_file():
+        from defplan_mj.report.report import write_report
+
+        write_report(folder, progress)
+
+
 def bench(arguments: argparse.Namespace, console: Console) -> int:
     """Time the reduced step and its peers on the task's body, which is built if it is not there."""
-    from defplan_mj.bench import bench as measure
+    from defplan_mj.studies.bench import bench as measure
 
-    with console.progress() as progress, _open(arguments, progress) as run:
-        data = measure(run.spec, run.body, progress, arguments.quick)
+    with console.progress() as progress, _open(arguments, console, progress) as run:
+        run.do("body")
+        data = measure(run.plan.spec, run.result("body"), progress, arguments.quick)
     console.result(data, bench_text(data))
     return 0
 
 
 @contextlib.contextmanager
 def _open(
-    arguments: argparse.Namespace, progress: Progress, whole: bool = False, **chosen: Any
+    arguments: argparse.Namespace,
+    console: Console,
+    progress: Progress,
+    whole: bool = False,
+    anew: Iterable[str] = (),
+    **chosen: Any,
 ) -> Iterator[Run]:
     """Yield the run that the arguments name.
 
     Args:
         whole: this is `defplan run`: --fresh means everything, not one stage.
+        anew: stages that are made even if they could be used again.
         chosen: fields of `RunOptions`; None: as the run in the folder was asked for.
     """
     from defplan_mj import registry
-    from defplan_mj.run import open_run
+    from defplan_mj.pipeline.outlook import Consent
+    from defplan_mj.pipeline.run import open_run
 
     spec = registry.get_task(arguments.task)
     fresh = whole and arguments.fresh
+    consent = Consent(arguments.remake, console.say, console.asker())
     with open_run(
-        spec, arguments.logs, arguments.seed, chosen, progress, whole=whole, fresh=fresh
+        *(spec, arguments.logs, arguments.seed, chosen, progress),
+        whole=whole,
+        fresh=fresh,
+        consent=consent,
+        anew=anew,
     ) as run:
         yield run
 
@@ -228,22 +266,23 @@ def _stage(
     arguments: argparse.Namespace, console: Console, stage: str, **chosen: Any
 ) -> Iterator[Run]:
     """Yield the run for a command that makes one stage; --fresh makes that one anew."""
-    remake = stage if arguments.fresh else None
+    anew = (stage,) if arguments.fresh else ()
     with (
         console.progress() as progress,
-        _open(arguments, progress, remake=remake, **chosen) as run,
+        _open(arguments, console, progress, anew=anew, **chosen) as run,
     ):
         yield run
 
 
 def view(arguments: argparse.Namespace, console: Console) -> int:
     """Watch the planner steer through unseen scenes, in real time, until the window is closed."""
-    from defplan_mj import trial
     from defplan_mj.host.viewer import require_display, view
+    from defplan_mj.pipeline import trial
 
     require_display()  # before any work
     chosen = {"planner": arguments.planner, "feedback": arguments.feedback}
     with _stage(arguments, console, "view", **chosen) as run:
+        run.do("planner")
         environment = trial.environment(run, arguments.obstacles)
         planner = trial.steering(run, arguments.shield)
     outcomes = view(environment, lambda step: int(planner.values(step.observation).argmax()))

@@ -7,7 +7,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -69,6 +69,11 @@ class Console:
         else:
             print(text)
 
+    def asker(self) -> Callable[[str], bool] | None:
+        """Return what asks the user a question; None if nobody is there to answer."""
+        there = sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()
+        return None if self.json or self.quiet or not there else _ask
+
     @contextlib.contextmanager
     def progress(self) -> Iterator[Progress]:
         """Yield a `Progress`: bars on a terminal, plain lines otherwise, nothing with --quiet."""
@@ -79,6 +84,12 @@ class Console:
                 yield show
         else:
             yield _PlainLines()
+
+
+def _ask(question: str) -> bool:
+    """Return whether the user answers yes; no answer is no."""
+    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 class _PlainLines:
@@ -109,12 +120,16 @@ def _bars() -> Iterator[Progress]:
         TaskProgressColumn(),
         TimeElapsedColumn(),
     )
-    with RichProgress(*columns, console=RichConsole(stderr=True)) as bars:
+    bars, started = RichProgress(*columns, console=RichConsole(stderr=True)), False
+    try:
         shown: dict[str, Any] = {}
         last = 0.0
 
         def show(message: str, fraction: float) -> None:
-            nonlocal last
+            nonlocal last, started
+            if not started:  # not before: a question may be asked first
+                bars.start()
+                started = True
             now = time.monotonic()
             if message in shown and fraction < 1 and now - last < BAR_SECONDS:
                 return
@@ -126,6 +141,9 @@ def _bars() -> Iterator[Progress]:
             bars.update(shown[message], completed=min(max(fraction, 0.0), 1.0))
 
         yield show
+    finally:
+        if started:
+            bars.stop()
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str = "") -> str:

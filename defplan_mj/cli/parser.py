@@ -106,6 +106,7 @@ def _run(sub: argparse.ArgumentParser) -> None:
         "--solver-seeds", type=_count, metavar="N", help="of that comparison (default: 1)"
     )
     sub.add_argument("--pairs", type=_count, metavar="N", help="for the surrogate (default: 1000)")
+    _training(sub)
     sub.add_argument("--episodes", type=_count, metavar="N", help="unseen scenes (default: 200)")
     sub.add_argument(
         "--moving",
@@ -160,6 +161,7 @@ def _surrogate(sub: argparse.ArgumentParser) -> None:
 def _planner(sub: argparse.ArgumentParser) -> None:
     _task(sub)
     sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
+    _training(sub)
     _stage(sub)
     _common(sub)
 
@@ -268,6 +270,15 @@ def _view(sub: argparse.ArgumentParser) -> None:
     _common(sub)
 
 
+def _training(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--training-seconds",
+        type=_positive,
+        metavar="S",
+        help="cut the training short after this wall time (default: never)",
+    )
+
+
 def _feedback(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--feedback", metavar="NAME", help="none, ilqg (default: the run's or task's)")
 
@@ -282,6 +293,8 @@ def _stage(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR",
                      help="where the runs lie (default: logs)")  # fmt: skip
     sub.add_argument("--fresh", action="store_true", help="use nothing made before")
+    sub.add_argument("--remake", action="store_true",
+                     help="make finished stages anew if they were made with other options")  # fmt: skip
 
 
 def _common(sub: argparse.ArgumentParser) -> None:

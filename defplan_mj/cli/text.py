@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from defplan_mj.cli.console import table
@@ -12,31 +13,47 @@ def run_text(data: dict[str, Any]) -> str:
     """Return the figures of a whole run."""
     seconds = data["seconds"]
     stages = ", ".join(f"{name} {value:.1f}" for name, value in seconds.items() if name != "total")
-    rows = []
-    for scenes, result in data["evaluation"].items():
-        label = SCENES.get(scenes, scenes)
-        rows.append([f"{label}, with shield", *_evaluation_row(result)])
-        rows.append([f"{label}, without", *_evaluation_row(result["without_shield"])])
-    columns = ["scenes", *_EVALUATION_COLUMNS]
+    texts = [text(data[name]) for name, text in STAGE_TEXTS.items() if data.get(name)]
     return "\n\n".join(
         [
             f"{data['task']}, seed {data['seed']}: {seconds['total']:.1f} s ({stages})",
-            gait_text(data["gait"]),
-            surrogate_text(data["surrogate"]),
-            table(columns, rows, "Episodes on the reduced dynamics"),
-            *_moving_text(data["moving"]),
+            *(text for text in texts if text),
             f"report  {data['files']['report']}\nlog     {data['files']['log']}",
         ]
     )
 
 
-def _moving_text(rows: list[dict[str, Any]]) -> list[str]:
-    """Return the episodes among moving obstacles, if there are any."""
-    if not rows:
-        return []
+CUT_SHORT = (
+    "the planner's training was cut short by its limit of wall time: another machine gives another"
+)
+
+
+def training_text(data: dict[str, Any]) -> str:
+    """Return what is to be known of a training that was not whole; nothing if it was."""
+    return CUT_SHORT if data["cut_short"] else ""
+
+
+def planner_text(data: dict[str, Any]) -> str:
+    """Return how long the training took, and whether it came to its end."""
+    line = f"{data['file']}: {data['planner']}, trained in {data['seconds']:.1f} s"
+    return "\n".join(filter(None, [line, training_text(data)]))
+
+
+def episodes_text(data: dict[str, Any]) -> str:
+    """Return how the episodes of training targets and unseen scenes end, with and without the shield."""
+    rows = []
+    for scenes, result in data.items():
+        label = SCENES.get(scenes, scenes)
+        rows.append([f"{label}, with shield", *_evaluation_row(result)])
+        rows.append([f"{label}, without", *_evaluation_row(result["without_shield"])])
+    return table(["scenes", *_EVALUATION_COLUMNS], rows, "Episodes on the reduced dynamics")
+
+
+def moving_text(rows: list[dict[str, Any]]) -> str:
+    """Return the episodes among moving obstacles."""
     columns = ["obstacles, m/s", *_EVALUATION_COLUMNS]
     text = [[f"{row['speed']:g}", *_evaluation_row(row)] for row in rows]
-    return [table(columns, text, "Training targets with shield, among moving obstacles")]
+    return table(columns, text, "Training targets with shield, among moving obstacles")
 
 
 def gait_text(data: dict[str, Any]) -> str:
@@ -114,6 +131,17 @@ def robustness_text(data: dict[str, Any]) -> str:
         "ms a step",
     ]
     return table(columns, rows, f"{data['task']}, gaits switched at random")
+
+
+STAGE_TEXTS: dict[str, Callable[[Any], str]] = {
+    "gait": gait_text,
+    "surrogate": surrogate_text,
+    "planner": training_text,
+    "evaluation": episodes_text,
+    "moving": moving_text,
+    "robustness": robustness_text,
+}
+"""What a stage's figures in the JSON are for people; in the order of the stages."""
 
 
 def check_text(data: dict[str, Any]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -23,10 +22,7 @@ from defplan_mj.task import Navigation
 if TYPE_CHECKING:
     from dm_control.rl.control import Environment
 
-    from defplan_mj.body.model import Body
-    from defplan_mj.dynamics.terrain import Terrain
-    from defplan_mj.feedback import FeedbackSolver
-    from defplan_mj.gait.gait import Gait
+    from defplan_mj.planning.robot import Robot
     from defplan_mj.planning.surrogate import Surrogate
 
 PARALLEL_FROM = 16  # episodes; fewer are done before a second process has started
@@ -206,16 +202,13 @@ def run_episode(
 
 
 def evaluate(
-    body: Body,
-    gait: Gait,
+    robot: Robot,
     surrogate: Surrogate,
     navigation: Navigation,
     planner: Planner,
     scenes: Sequence[Scene],
     *,
     shield: bool = True,
-    feedback: FeedbackSolver | None = None,
-    terrain: Terrain | None = None,
     recorder: RecorderFactory | None = None,
     context: Mapping[str, Any] | None = None,
     workers: int | None = None,
@@ -226,8 +219,6 @@ def evaluate(
     Args:
         planner: picklable.
         shield: wrap the planner in the safety shield.
-        feedback: picklable, plays the gaits; None: open loop.
-        terrain: what the robot walks on; None: it swims.
         recorder: gives the recorders of those episodes that are to be logged.
         context: of the logs.
         workers: processes (default: one for each core, at most 2, and 1 for a few episodes).
@@ -235,9 +226,7 @@ def evaluate(
     pilot: Planner = Shield(planner, surrogate, navigation) if shield else planner
     if workers is None:
         workers = min(threads.available_cores(), 2) if len(scenes) >= PARALLEL_FROM else 1
-    run = functools.partial(
-        _run_share, (body, gait, navigation, feedback, terrain), pilot, recorder, context
-    )
+    run = functools.partial(_run_share, robot, navigation, pilot, recorder, context)
     numbered = list(enumerate(scenes))
     pieces = 1 if workers == 1 else 8 * workers
     shares = [numbered[i::pieces] for i in range(pieces) if numbered[i::pieces]]
@@ -270,14 +259,15 @@ def _as_list(run: Callable[[_Share], Iterator[Episode]], share: _Share) -> Any:
 
 
 def _run_share(
-    robot: tuple[Body, Gait, Navigation, FeedbackSolver | None, Terrain | None],
+    robot: Robot,
+    navigation: Navigation,
     pilot: Planner,
     recorder: RecorderFactory | None,
     context: Mapping[str, Any] | None,
     share: _Share,
 ) -> Iterator[Episode]:
     """Run the episodes of some scenes, one after the other."""
-    env = _environment(*robot)
+    env = _environment(robot, navigation)
     for index, scene in share:
         manager = recorder(index, scene) if recorder is not None else None
         if manager is None:
@@ -290,33 +280,16 @@ def _run_share(
 _environments: dict[tuple[str, ...], Environment] = {}
 
 
-def _environment(
-    body: Body,
-    gait: Gait,
-    navigation: Navigation,
-    feedback: FeedbackSolver | None,
-    terrain: Terrain | None,
-) -> Environment:
+def _environment(robot: Robot, navigation: Navigation) -> Environment:
     """Return this process' environment, built once."""
-    from defplan_mj.dynamics.reduced import ReducedDynamics
-    from defplan_mj.dynamics.terrain import terrain_json
-    from defplan_mj.host.navigation import navigation_environment
-
-    ground = "" if terrain is None else json.dumps(terrain_json(terrain))
-    key = (body.hash, gait.hash, repr(navigation), repr(feedback), ground)
+    key = (*robot.identity, repr(navigation))
     if key not in _environments:
         _environments.clear()
 
         def sampler(random: np.random.RandomState) -> Scene:
             raise AssertionError("an evaluation sets every scene itself")
 
-        prepared = None
-        if feedback is not None:
-            dynamics = ReducedDynamics(body, gait.timestep, terrain, **gait.stepping)
-            prepared = feedback.prepare(dynamics, gait, navigation.space)
-        _environments[key] = navigation_environment(
-            body, gait, navigation, sampler, terrain=terrain, feedback=prepared
-        )
+        _environments[key] = robot.environment(navigation, sampler)
     return _environments[key]
 
 

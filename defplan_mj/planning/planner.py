@@ -43,11 +43,13 @@ class TrainResult:
         planner: ready for use.
         curves: arrays of equal length by name, for the report's training curves (Fig. 5).
         seconds: wall time of the training, s.
+        cut_short: whether the limit of the wall time ended it before its budget was used up.
     """
 
     planner: Planner
     curves: dict[str, np.ndarray] = field(default_factory=dict)
     seconds: float = 0.0
+    cut_short: bool = False
 
 
 class PlannerSolver(Protocol):
@@ -73,7 +75,12 @@ class PlannerSolver(Protocol):
         seconds: float | None = None,
         progress: Progress = ...,
     ) -> TrainResult:
-        """Train a planner for the surrogate; `seconds` is a safety limit of the wall time."""
+        """Train a planner for the surrogate.
+
+        Args:
+            seconds: limit of the wall time; None: none, so that the same seed gives the same planner
+                on any machine. A result that it cut short says so (`TrainResult.cut_short`).
+        """
 
     def save(self, planner: Planner, path: Path) -> None:
         """Write the planner to `path`, atomically and without pickle."""

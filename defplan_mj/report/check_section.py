@@ -21,6 +21,8 @@ def check_section(material: Material) -> Section:
         command = f"defplan check {material.task} --run {material.folder.name}"
         section.blocks.append(Missing(f"Not checked yet: {command} does it, in minutes."))
         return section
+    if material.is_outdated(data):
+        section.blocks.append(Missing("Checked with other gaits than these: check them again."))
     gaits = data["gaits"]
     kinds = [kind for kind in _KINDS if kind in gaits[0]["turn_rad"]]
     for what, unit in (("advance_m", "m"), ("turn_rad", "rad")):

@@ -13,6 +13,7 @@ import numpy as np
 
 from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.files import archive_meta
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
@@ -32,6 +33,7 @@ class Material:
         folder: of the run.
         body, gait, surrogate: None if missing or damaged.
         curves: of the planner's training, by name; empty if there are none.
+        cut_short: whether a limit of wall time ended that training.
         documents: JSON files by name, e.g. 'run', 'evaluation'.
         logs: episodes, in the order of their names.
         faults: file name -> sentence, of files that are there and cannot be read.
@@ -42,6 +44,7 @@ class Material:
     gait: Gait | None = None
     surrogate: Surrogate | None = None
     curves: dict[str, np.ndarray] = field(default_factory=dict)
+    cut_short: bool = False
     documents: dict[str, Any] = field(default_factory=dict)
     logs: list[EpisodeLog] = field(default_factory=list)
     faults: dict[str, str] = field(default_factory=dict)
@@ -108,10 +111,15 @@ class Material:
     def solvers(self) -> list[dict[str, Any]]:
         """The gait solvers on the same problem, an entry a solver and seed; empty if not compared.
 
-        'name', 'seed' and what `rivals.measure_solver` says; or 'name', 'seed' and 'error'.
+        'name', 'seed' and what `studies.gait_solvers.measure` says; or 'name', 'seed' and 'error'.
         """
         found = self.documents.get("gait_solvers", {}).get("solvers")
         return found if isinstance(found, list) else []
+
+    def is_outdated(self, document: dict[str, Any]) -> bool:
+        """Return whether a document of measurements says that it is of other gaits than these."""
+        told = document.get("gait")
+        return self.gait is not None and told is not None and told != self.gait.hash
 
     @property
     def paper(self) -> dict[str, Any]:
@@ -150,8 +158,8 @@ def gather(folder: str | Path) -> Material:
     material.gait = read("gait.npz", Gait.load)
     material.surrogate = read("surrogate.npz", Surrogate.load)
     # a planner that is not the task's own has curves of its own
-    own = read(f"training-{material.config.get('planner')}.npz", _curves)
-    material.curves = own or read("training.npz", _curves) or {}
+    own = read(f"training-{material.config.get('planner')}.npz", _training)
+    material.curves, material.cut_short = own or read("training.npz", _training) or ({}, False)
     for path in sorted(folder.glob("**/[!.]*.mcap")):
         if path.name.endswith(PARTIAL_SUFFIX):
             continue  # of an episode that was stopped, or is running
@@ -161,11 +169,12 @@ def gather(folder: str | Path) -> Material:
     return material
 
 
-def _curves(path: Path) -> dict[str, np.ndarray]:
-    """Return the numeric vectors of an npz archive."""
+def _training(path: Path) -> tuple[dict[str, np.ndarray], bool]:
+    """Return the numeric vectors of an npz archive, and whether it says that it was cut short."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files if not name.endswith(".json")}
     except Exception as error:  # zip, zlib and NumPy raise many kinds on damaged files
         raise DefplanError(f"{path} is not a whole training file") from error
-    return {k: a for k, a in arrays.items() if a.ndim == 1 and a.dtype.kind in "fiu" and len(a)}
+    curves = {k: a for k, a in arrays.items() if a.ndim == 1 and a.dtype.kind in "fiu" and len(a)}
+    return curves, bool(archive_meta(path).get("cut_short"))

@@ -42,6 +42,13 @@ def training_section(material: Material) -> Section:
     if not material.curves:
         section.blocks.append(missing(material, "training.npz"))
         return section
+    if material.cut_short:
+        section.blocks.append(
+            Text(
+                "This training was cut short by its limit of wall time before its budget was used up:"
+                " on another machine, or at another hour, it gives another planner."
+            )
+        )
     drawn = [f for f in (reward_figure(material.curves), success_figure(material.curves)) if f]
     section.blocks.append(
         Figures(

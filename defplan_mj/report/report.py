@@ -22,6 +22,7 @@ from defplan_mj.report.planning_sections import (
     training_section,
     trajectory_section,
 )
+from defplan_mj.report.robustness_section import robustness_section
 from defplan_mj.report.sections import (
     body_section,
     gait_section,
@@ -30,11 +31,15 @@ from defplan_mj.report.sections import (
 )
 
 REPORT_FILE = "report.html"
+_OPTIONS = (
+    "gait_solver planner feedback solver_seeds pairs training_seconds episodes moving".split()
+)
 
 SECTIONS: tuple[Callable[[Material], Section], ...] = (
     body_section,
     gait_section,
     check_section,
+    robustness_section,
     surrogate_section,
     training_section,
     success_section,
@@ -126,7 +131,7 @@ def command(material: Material) -> str:
     words = ["defplan", "run", material.task, "--seed", str(config.get("seed", 0))]
     for name in config.get("rivals") or ():
         words += ["--compare-with", str(name)]
-    for option in ("gait_solver", "planner", "solver_seeds", "pairs", "episodes", "moving"):
+    for option in _OPTIONS:
         if config.get(option) is not None:
             words += [f"--{option.replace('_', '-')}", str(config[option])]
     return " ".join([*words, "--fresh"])

@@ -8,8 +8,8 @@ import numpy as np
 
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.studies.timing import measure
 from defplan_mj.task import TaskSpec
-from defplan_mj.timing import measure
 
 CHOICES = (
     *(("implicit-euler", n) for n in (1, 4)),

@@ -19,18 +19,19 @@ import numpy as np
 from defplan_mj import registry
 from defplan_mj.base import threads
 from defplan_mj.base.progress import Progress, no_progress
-from defplan_mj.bench_integrators import error_against_time, integrators
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.kernel import library
 from defplan_mj.planning.outcome import Outcome
+from defplan_mj.planning.robot import Robot
 from defplan_mj.planning.scenes import Scene, novel_scenes, training_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv
+from defplan_mj.studies.bench_integrators import error_against_time, integrators
+from defplan_mj.studies.timing import Timing, measure
 from defplan_mj.task import Navigation, TaskSpec
-from defplan_mj.timing import Timing, measure
 
 OBSTACLES = 10
 ENVIRONMENTS = 256
@@ -170,11 +171,12 @@ def bench(
     progress("bench: clearance and laser", 0.2)
     scene = novel_scenes(spec.navigation, 1, 0, OBSTACLES)[0]
     clearance = measure(kernel.clearance(states[-1][: 7 + body.n_modes], scene), 5000 // few)
-    planar = _sensing(spec, body, gait, "planar", 5000 // few)
-    spatial = _sensing(spec, body, gait, "spatial", 5000 // few)
+    robot = Robot(body, gait, spec.terrain)
+    planar = _sensing(robot, spec.navigation, "planar", 5000 // few)
+    spatial = _sensing(robot, spec.navigation, "spatial", 5000 // few)
 
     progress("bench: environment", 0.3)
-    environment = _environment(spec, spec.navigation, body, gait, scene)
+    environment = _environment(robot, spec.navigation, scene)
     cycle = _environment_cycles(environment, 200 // few)
 
     progress("bench: surrogate", 0.4)
@@ -263,24 +265,18 @@ def _decisions(dynamics: ReducedDynamics, gait: Gait, space: str, cycles: int) -
     return found
 
 
-def _environment(
-    spec: TaskSpec, navigation: Navigation, body: Body, gait: Gait, scene: Scene
-) -> Any:
+def _environment(robot: Robot, navigation: Navigation, scene: Scene) -> Any:
     """Return the navigation environment in `scene`."""
-    from defplan_mj.host.navigation import navigation_environment
-
-    environment = navigation_environment(
-        body, gait, navigation, lambda random: scene, terrain=spec.terrain, scene=scene
-    )
+    environment = robot.environment(navigation, lambda random: scene, scene=scene)
     environment.reset()
     return environment
 
 
-def _sensing(spec: TaskSpec, body: Body, gait: Gait, space: str, repeats: int) -> dict[str, float]:
+def _sensing(robot: Robot, navigation: Navigation, space: str, repeats: int) -> dict[str, float]:
     """Time laser scans and whole observations, laser included, in a scene of `space`; medians, us."""
-    navigation = dataclasses.replace(spec.navigation, space=space)
+    navigation = dataclasses.replace(navigation, space=space)
     scene = novel_scenes(navigation, 1, 0, OBSTACLES)[0]
-    environment = _environment(spec, navigation, body, gait, scene)
+    environment = _environment(robot, navigation, scene)
     physics, task = environment.physics, environment.task
     calls = {"laser": physics.laser, "observation": lambda: task.get_observation(physics)}
     return {name: round(measure(call, repeats).median * 1e6, 1) for name, call in calls.items()}

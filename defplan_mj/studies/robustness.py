@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from defplan_mj import registry
-from defplan_mj.base import files, threads
-from defplan_mj.base.errors import DefplanError
+from defplan_mj.base import threads
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
-from defplan_mj.dynamics.terrain import Terrain, TerrainGeom, contact_law
+from defplan_mj.dynamics.terrain import TerrainGeom, contact_law
 from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.switching import MAX_TILT, MIN_HEIGHT, heading, tilt, wrap
 from defplan_mj.planning.evaluation import wilson_interval
 
-if TYPE_CHECKING:
-    from defplan_mj.run import Run
-
-FILE = "robustness.json"
 SETTLE = 2  # cycles from rest whose drift is not counted
 
 
@@ -216,11 +208,11 @@ def measure_robustness(
 
     jobs = [(condition, solver) for condition in wanted for solver in solvers]
     workers = min(threads.available_cores(), 2)
-    told = (dynamics.body, dynamics.timestep, dynamics.terrain, dynamics.stepping, gait)
     walks: list[PerturbedWalk] = []
     with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
         calls = (
-            delayed(_perturbed_walk)(told, solver, where, cycles, seed) for where, solver in jobs
+            delayed(perturbed_walk)(dynamics, gait, solver, where, cycles, seed)
+            for where, solver in jobs
         )
         for one in Parallel(return_as="generator")(calls):
             where, solver = jobs[len(walks)]
@@ -242,59 +234,3 @@ def measure_robustness(
         }
         rows.append({k: None if v != v else v for k, v in row.items()})
     return rows
-
-
-def _perturbed_walk(
-    told: tuple[Body, float, Terrain | None, dict[str, Any], Gait],
-    solver: FeedbackSolver,
-    condition: Condition,
-    cycles: int,
-    seed: int,
-) -> PerturbedWalk:
-    """Walk in a process of its own."""
-    body, timestep, terrain, stepping, gait = told
-    dynamics = ReducedDynamics(body, timestep, terrain, **stepping)
-    return perturbed_walk(dynamics, gait, solver, condition, cycles, seed)
-
-
-def study(
-    run: Run, names: Sequence[str] = (), cycles: int = 200, push: float = 0.3
-) -> dict[str, Any]:
-    """Measure a run's gaits, or find the measurement: 'task', 'seed', 'cycles', 'rows' of `measure`.
-
-    Args:
-        names: of feedbacks; none: all that are installed.
-        push: change of velocity by a push, m/s.
-
-    Raises:
-        DefplanError: the task is not in the plane.
-    """
-    spec, seed = run.spec, run.options.seed
-    if spec.navigation.space != "planar":
-        raise DefplanError(
-            f"{spec.name} moves in space: robustness is measured for tasks in the plane"
-        )
-    chosen = names or [e.name for e in registry.solvers("feedback") if not e.error]
-    solvers = [registry.get_solver(name, "feedback") for name in chosen]
-    wanted = conditions(push)
-    if spec.terrain is None:
-        wanted = tuple(c for c in wanted if not c.slope and c.friction == 1.0)
-    path, gait = run.folder.file(FILE), run.gait
-
-    def make() -> Iterable[Path]:
-        found = measure_robustness(
-            run.dynamics, gait, solvers, wanted, cycles, seed, run.progress("robustness")
-        )
-        document = {"task": spec.name, "seed": seed, "cycles": cycles, "rows": found}
-        files.write_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
-        return [path]
-
-    inputs = {
-        "gait": run.hashes["gait.npz"],
-        "feedbacks": [repr(solver) for solver in solvers],
-        "conditions": [asdict(condition) for condition in wanted],
-        "cycles": cycles,
-        "seed": seed,
-    }
-    run.make("robustness", inputs, make)
-    return json.loads(path.read_text(encoding="utf-8"))

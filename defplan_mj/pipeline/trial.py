@@ -7,14 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from defplan_mj.pipeline.making import policy_file
+
 if TYPE_CHECKING:
     from dm_control.rl.control import Environment
 
     from defplan_mj.log.recorder import Recorder
     from defplan_mj.log.run_files import RunFiles
+    from defplan_mj.pipeline.run import Run
     from defplan_mj.planning.planner import Planner
+    from defplan_mj.planning.robot import Robot
     from defplan_mj.planning.scenes import Scene
-    from defplan_mj.run import Run
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,14 @@ class Recorders:
         return self.folder / f"{self.scenes}-{index:02d}.mcap"
 
 
+def robot(run: Run) -> Robot:
+    """Return the run's robot."""
+    from defplan_mj.planning.robot import Robot
+
+    plan = run.plan
+    return Robot(run.result("body"), run.result("gait"), plan.spec.terrain, plan.feedback)
+
+
 def evaluate(
     run: Run,
     scenes: str,
@@ -59,6 +70,7 @@ def evaluate(
     """Let the run's planner steer through scenes; the same seed and options give the same scenes.
 
     Args:
+        run: its planner is finished.
         scenes: 'k2' or 'novel'.
         shield: wrap the planner in the safety shield.
         episodes: how many (None: the task's number of K2 targets, the run's of novel ones).
@@ -71,42 +83,49 @@ def evaluate(
     """
     from defplan_mj.log.run_files import RunFiles
     from defplan_mj.planning.evaluation import evaluate
-    from defplan_mj.planning.scenes import k2_scenes, novel_scenes
 
-    navigation, seed = run.spec.navigation, run.options.seed
-    if scenes == "k2":
-        chosen = k2_scenes(navigation, seed, episodes, obstacles, obstacle_speed)
-    else:
-        count = episodes or run.options.episodes
-        chosen = novel_scenes(navigation, count, seed, obstacles, obstacle_speed)
-    planner = run.planner
+    who, surrogate, navigation = robot(run), run.result("surrogate"), run.plan.spec.navigation
     if log is not None:
-        parts = RunFiles.of(run.body, run.gait, run.surrogate, run.policy, run.spec.terrain)
+        parts = RunFiles.of(who.body, who.gait, surrogate, policy_file(run), who.world)
         log = dataclasses.replace(log, parts=parts)
-    context = {
-        "task": run.spec.name,
-        "seed": seed,
-        "planner": run.planner_solver.name,
-        "feedback": run.feedback_solver.name,
-        "shield": shield,
-        "navigation": dataclasses.asdict(navigation),
-    }
-    progress = run.progress("evaluation")
+    progress = run.progress_of("evaluation")
     message = f"{scenes}, {'with' if shield else 'without'} shield"
     return evaluate(
-        run.body,
-        run.gait,
-        run.surrogate,
+        who,
+        surrogate,
         navigation,
-        planner,
-        chosen,
+        run.result("planner"),
+        _scenes(run, scenes, episodes, obstacles, obstacle_speed),
         shield=shield,
-        feedback=run.feedback_solver,
-        terrain=run.spec.terrain,
         recorder=log,
-        context=context,
+        context=_context(run, shield),
         progress=lambda _, fraction: progress(message, fraction),
     ).to_json()
+
+
+def _scenes(
+    run: Run, scenes: str, episodes: int | None, obstacles: int | None, speed: float
+) -> list[Scene]:
+    from defplan_mj.planning.scenes import k2_scenes, novel_scenes
+
+    navigation, options = run.plan.spec.navigation, run.plan.options
+    if scenes == "k2":
+        return k2_scenes(navigation, options.seed, episodes, obstacles, speed)
+    count = episodes or options.episodes
+    return novel_scenes(navigation, count, options.seed, obstacles, speed)
+
+
+def _context(run: Run, shield: bool) -> dict[str, Any]:
+    """Return what a log says of its episode's making."""
+    plan = run.plan
+    return {
+        "task": plan.spec.name,
+        "seed": plan.options.seed,
+        "planner": plan.planner.name,
+        "feedback": plan.feedback.name,
+        "shield": shield,
+        "navigation": dataclasses.asdict(plan.spec.navigation),
+    }
 
 
 def steering(run: Run, shield: bool) -> Planner:
@@ -114,23 +133,14 @@ def steering(run: Run, shield: bool) -> Planner:
     from defplan_mj.planning.shield import Shield
 
     if not shield:
-        return run.planner
-    return Shield(run.planner, run.surrogate, run.spec.navigation)
+        return run.result("planner")
+    return Shield(run.result("planner"), run.result("surrogate"), run.plan.spec.navigation)
 
 
 def environment(run: Run, obstacles: int | None = None) -> Environment:
     """Return the run's navigation environment; it draws novel scenes from the run's seed."""
-    from defplan_mj.host.navigation import navigation_environment
     from defplan_mj.planning.scenes import NovelScenes
 
-    navigation = run.spec.navigation
-    feedback = run.feedback_solver.prepare(run.dynamics, run.gait, navigation.space)
-    return navigation_environment(
-        run.body,
-        run.gait,
-        navigation,
-        NovelScenes(navigation, obstacles),
-        terrain=run.spec.terrain,
-        feedback=feedback,
-        random=run.options.seed,
-    )
+    navigation = run.plan.spec.navigation
+    scenes = NovelScenes(navigation, obstacles)
+    return robot(run).environment(navigation, scenes, random=run.plan.options.seed)

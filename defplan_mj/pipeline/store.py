@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -15,10 +16,13 @@ from typing import IO, Any
 from defplan_mj import __version__
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.pipeline.provenance import content_of, file_hash, plain_data
 
 FORMAT_VERSION = 1
 RUN_FILE = "run.json"
 _LOCK = ".lock"
+_BUSY = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)
+_NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK, errno.EINVAL)
 
 
 @dataclass(frozen=True)
@@ -29,27 +33,27 @@ class Record:
         inputs: hash of everything the stage was made from (its options, the files before it).
         files: name -> SHA-256 of each file it left in the folder.
         seconds: wall time it took.
+        contents: name -> hash of what each file says apart from wall times: the inputs of later stages.
+        made_from: the inputs themselves, to tell later what differs.
     """
 
     inputs: str
     files: dict[str, str]
     seconds: float
-
-
-def file_hash(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes (64 hex digits)."""
-    with open(path, "rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    contents: dict[str, str] = field(default_factory=dict)
+    made_from: dict[str, Any] = field(default_factory=dict)
 
 
 def input_hash(inputs: Mapping[str, Any]) -> str:
     """Return the hash of a stage's inputs, this version of defplan among them."""
-    text = json.dumps({"defplan": __version__, **inputs}, sort_keys=True, default=str)
+    text = json.dumps({"defplan": __version__, **plain_data(inputs)}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 class RunFolder:
     """The folder of one run; a context manager that keeps other processes out of it.
+
+    Only plain names inside the folder are read, written or removed, whatever its run.json says.
 
     Args:
         path: the folder; made if it is missing.
@@ -57,7 +61,7 @@ class RunFolder:
         fresh: forget what was made before.
 
     Raises:
-        DefplanError: another process is at work in the folder, or it cannot be written.
+        DefplanError: another process is at work in the folder, it cannot be written or locked.
     """
 
     def __init__(self, path: Path, config: Mapping[str, Any], fresh: bool = False) -> None:
@@ -77,9 +81,7 @@ class RunFolder:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             self._lock.close()
-            raise DefplanError(
-                f"another defplan is at work in {self.path}: wait for it or choose another --logs"
-            ) from error
+            raise DefplanError(_lock_sentence(self.path, error)) from error
         self._sweep()
         self.records = {} if self.fresh else _read(self.path)[1]
         if self.fresh:
@@ -96,7 +98,13 @@ class RunFolder:
             self._lock.close()
 
     def file(self, name: str) -> Path:
-        """Return the path of a file of this run."""
+        """Return the path of a file of this run.
+
+        Raises:
+            DefplanError: the name would lead out of the folder.
+        """
+        if not _is_plain(name):
+            raise DefplanError(f"{name!r} is no name for a file of a run: it must be a plain one")
         return self.path / name
 
     def stage(
@@ -105,29 +113,29 @@ class RunFolder:
         inputs: Mapping[str, Any],
         make: Callable[[], Iterable[Path]],
         fresh: bool = False,
-    ) -> dict[str, str]:
+    ) -> Record:
         """Make a stage unless its files are there, whole and of the same inputs.
 
         Args:
             name: of the stage, e.g. 'gait'.
-            inputs: JSON-able; everything that the result depends on.
+            inputs: plain data; everything that the result depends on.
             make: writes the stage's files into the folder and returns their paths.
             fresh: make it in any case.
 
         Returns:
-            the hashes of its files by name: the inputs of later stages.
+            what is there now.
         """
-        wanted = input_hash(inputs)
         record = self.records.get(name)
-        if not fresh and record and record.inputs == wanted and self._whole(record):
-            return record.files
+        if not fresh and record and record.inputs == input_hash(inputs) and self.whole(name):
+            return record
         start = time.perf_counter()
         paths = sorted(make())
         seconds = time.perf_counter() - start
-        made = {str(path.relative_to(self.path)): file_hash(path) for path in paths}
-        for stale in set(record.files if record else ()) - set(made):
-            self.file(stale).unlink(missing_ok=True)
-        self.records[name] = Record(wanted, made, seconds)
+        hashes = {str(path.relative_to(self.path)): file_hash(path) for path in paths}
+        contents = {str(path.relative_to(self.path)): content_of(path) for path in paths}
+        self._remove(set(record.files if record else ()) - set(hashes))
+        made = Record(input_hash(inputs), hashes, seconds, contents, plain_data(inputs))
+        self.records[name] = made
         self._write()
         return made
 
@@ -135,17 +143,24 @@ class RunFolder:
         """Return the wall time a stage took, in this run or in the one that made it; 0: no such."""
         return self.records[name].seconds if name in self.records else 0.0
 
-    def _whole(self, record: Record) -> bool:
-        """Return whether the files of `record` are there as they were written."""
+    def whole(self, name: str) -> bool:
+        """Return whether a stage's files are there as they were written."""
         try:
-            return all(file_hash(self.file(n)) == h for n, h in record.files.items())
-        except OSError:
+            hashes = self.records[name].files
+            return all(file_hash(self.file(n)) == h for n, h in hashes.items())
+        except (OSError, KeyError):
             return False
+
+    def _remove(self, names: Iterable[str]) -> None:
+        """Remove files that a stage no longer makes."""
+        for name in names:
+            if not self.file(name).is_dir():
+                self.file(name).unlink(missing_ok=True)
 
     def _sweep(self) -> None:
         """Remove what writers that were killed have left: their files never got a name."""
-        for pattern in (".*.npz", ".*.json", ".*.html", ".*.pt"):
-            for path in self.path.glob(pattern):
+        for suffix in (".npz", ".json", ".html", ".pt"):
+            for path in self.path.glob(f".*{suffix}.*{suffix}"):
                 path.unlink(missing_ok=True)
 
     def _write(self) -> None:
@@ -166,6 +181,11 @@ def read_config(path: Path) -> dict[str, Any]:
     return _read(path)[0]
 
 
+def has_run(path: Path) -> bool:
+    """Return whether the folder `path` holds a run that was reported."""
+    return "report" in _read(path)[1]
+
+
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Record]]:
     """Read run.json: configuration and records; one that is damaged counts as not there."""
     try:
@@ -173,6 +193,40 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Record]]:
         if data["format"] != FORMAT_VERSION:
             return {}, {}
         records = {name: Record(**record) for name, record in data["stages"].items()}
-        return dict(data["config"]), records
+        kept = {name: record for name, record in records.items() if _is_sound(record)}
+        return dict(data["config"]), kept
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return {}, {}
+
+
+def _is_sound(record: Record) -> bool:
+    """Return whether a record is of the right types and names nothing outside the folder."""
+    return (
+        isinstance(record.inputs, str)
+        and isinstance(record.seconds, int | float)
+        and all(isinstance(part, dict) for part in (record.files, record.contents))
+        and isinstance(record.made_from, dict)
+        and all(_is_plain(name) for name in (*record.files, *record.contents))
+    )
+
+
+def _is_plain(name: str) -> bool:
+    """Return whether `name` is that of a visible file right in a folder."""
+    return bool(name) and name == Path(name).name and not name.startswith(".") and "\0" not in name
+
+
+def _lock_sentence(path: Path, error: OSError) -> str:
+    """Return what is the matter if a folder cannot be locked."""
+    if error.errno in _BUSY:
+        return f"another defplan is at work in {path}: wait for it or choose another --logs"
+    if error.errno in _NO_LOCKS:
+        return (
+            f"the file system of {path} knows no locks (flock: {error.strerror}), so two runs could"
+            " spoil each other: choose a --logs on another one"
+        )
+    return f"cannot lock {path}: {error.strerror}"
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write `data` as JSON, atomically."""
+    files.write_text(path, json.dumps(data, indent=1, default=files.plain, allow_nan=False) + "\n")

@@ -1,0 +1,1 @@
+"""A run from its mesh to its report: stages, the folder their files lie in, what it says in figures."""

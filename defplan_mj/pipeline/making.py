@@ -1,0 +1,256 @@
+"""Stages from the mesh to the planner: body, gaits, surrogate, training."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from defplan_mj.base import files, threads
+from defplan_mj.dynamics.terrain import terrain_json
+from defplan_mj.pipeline.provenance import file_hash, plugin_data
+from defplan_mj.pipeline.stage import Stage
+from defplan_mj.pipeline.store import write_json
+from defplan_mj.studies.gait_solvers import SWITCHING_CYCLES
+
+if TYPE_CHECKING:
+    from defplan_mj.body.model import Body
+    from defplan_mj.dynamics.reduced import ReducedDynamics
+    from defplan_mj.gait.gait import Gait
+    from defplan_mj.gait.problem import GaitProblem
+    from defplan_mj.pipeline.run import Run
+    from defplan_mj.planning.planner import Planner
+    from defplan_mj.planning.surrogate import Surrogate
+
+BODY_FILE, GAIT_FILE, SURROGATE_FILE = "body.npz", "gait.npz", "surrogate.npz"
+SWITCHING_FILE = "gait.json"
+TRAINING_VERSION = 1
+
+
+# ---- body
+
+
+def _body_inputs(run: Run) -> dict[str, Any]:
+    mesh = run.plan.spec.mesh
+    return {
+        "mesh": file_hash(mesh) if mesh.is_file() else "missing",
+        "task": {"body": dataclasses.asdict(run.plan.spec.body)},
+    }
+
+
+def _make_body(run: Run) -> Iterable[Path]:
+    from defplan_mj.body.build import build_body
+
+    path, spec = run.file(BODY_FILE), run.plan.spec
+    build_body(spec.mesh, spec.body, run.progress_of("body")).save(path)
+    return [path]
+
+
+def _load_body(run: Run) -> Body:
+    from defplan_mj.body.model import Body
+
+    return Body.load(run.file(BODY_FILE))
+
+
+BODY = Stage("body", _body_inputs, _make_body, load=_load_body, sections=("body",), timed=True)
+
+
+# ---- gaits
+
+
+def dynamics(run: Run) -> ReducedDynamics:
+    """Return the reduced dynamics of the run's body at the task's time step."""
+    from defplan_mj.dynamics.reduced import ReducedDynamics
+
+    spec = run.plan.spec
+    return ReducedDynamics(run.result("body"), spec.timestep, spec.terrain, **spec.stepping)
+
+
+def gait_problem(run: Run) -> GaitProblem:
+    """Return Eq. 1 for the run's body."""
+    from defplan_mj.gait.problem import GaitProblem
+
+    return GaitProblem.of(run.plan.spec, dynamics(run))
+
+
+def solve_gait(run: Run, solver: Any, stage: str, seed: int) -> Gait:
+    """Let a gait solver solve the problem; Ctrl-C is heard meanwhile."""
+    problem, progress = gait_problem(run), run.progress_of(stage)
+    return threads.interruptible(lambda: solver.solve(problem, seed, progress))
+
+
+def gait_inputs(run: Run, solver: Any, seed: int) -> dict[str, Any]:
+    """Return all that gaits depend on besides the body."""
+    return {
+        "options": {"gait_solver": solver.name, "seed": seed},
+        "plugins": {"gait_solver": plugin_data(solver)},
+        "task": _gait_task(run),
+        "switching": SWITCHING_CYCLES,
+    }
+
+
+def _gait_task(run: Run) -> dict[str, Any]:
+    """Return what a task says of its gaits."""
+    spec = run.plan.spec
+    return {
+        "gait_tasks": [dataclasses.asdict(task) for task in spec.gait_tasks],
+        "timestep": spec.timestep,
+        **spec.stepping,
+        "steps_per_cycle": spec.steps_per_cycle,
+        "gait_steps": spec.gait_steps,
+        "space": spec.navigation.space,
+        "weights": dataclasses.asdict(spec.weights),
+        "axis": spec.axis,
+        "terrain": None if spec.terrain is None else terrain_json(spec.terrain),
+    }
+
+
+def _make_gait(run: Run) -> Iterable[Path]:
+    from defplan_mj.gait.switching import evaluate_switching
+
+    path, switching, seed = run.file(GAIT_FILE), run.file(SWITCHING_FILE), run.plan.options.seed
+    gait = solve_gait(run, run.plan.gait_solver, "gait", seed)
+    gait.save(path)
+    measured = evaluate_switching(gait_problem(run), gait, SWITCHING_CYCLES, seed)
+    write_json(switching, {"gait": measured.to_json()})
+    return [path, switching]
+
+
+def _load_gait(run: Run) -> Gait:
+    from defplan_mj.gait.gait import Gait
+
+    return Gait.load(run.file(GAIT_FILE))
+
+
+def _gait_figures(run: Run) -> dict[str, Any]:
+    """Return what the gaits do while they are switched: advance and turn a cycle, falls."""
+    return json.loads(run.file(SWITCHING_FILE).read_text(encoding="utf-8"))["gait"]
+
+
+GAIT = Stage(
+    "gait",
+    lambda run: gait_inputs(run, run.plan.gait_solver, run.plan.options.seed),
+    _make_gait,
+    needs=("body",),
+    load=_load_gait,
+    figures=_gait_figures,
+    sections=("gaits",),
+    timed=True,
+)
+
+
+# ---- surrogate
+
+
+def _make_surrogate(run: Run) -> Iterable[Path]:
+    from defplan_mj.planning.fit import fit_surrogate
+
+    path, options = run.file(SURROGATE_FILE), run.plan.options
+    progress = run.progress_of("surrogate")
+    gait = run.result("gait")
+    fit_surrogate(dynamics(run), gait, options.pairs, options.seed, progress).save(path)
+    return [path]
+
+
+def _load_surrogate(run: Run) -> Surrogate:
+    from defplan_mj.planning.surrogate import Surrogate
+
+    return Surrogate.load(run.file(SURROGATE_FILE))
+
+
+def _surrogate_figures(run: Run) -> dict[str, Any]:
+    """Return the row of the paper's Table III."""
+    surrogate = run.result("surrogate")
+    names = ("rotation_mean", "rotation_sd", "translation_mean", "translation_sd")
+    tasks = [
+        {"name": task, **{name: float(getattr(surrogate, name)[k]) for name in names}}
+        for k, task in enumerate(surrogate.task_names)
+    ]
+    return {"pairs": surrogate.pairs, "tasks": tasks}
+
+
+SURROGATE = Stage(
+    "surrogate",
+    lambda run: {"options": {"pairs": run.plan.options.pairs, "seed": run.plan.options.seed}},
+    _make_surrogate,
+    needs=("body", "gait"),
+    load=_load_surrogate,
+    figures=_surrogate_figures,
+    sections=("surrogate",),
+    timed=True,
+)
+
+
+# ---- planner
+
+
+def policy_file(run: Run) -> Path:
+    """Return where the planner lies; one that is not the task's own lies beside it."""
+    return run.file(f"{run.plan.of_planner('policy')}.npz")
+
+
+def training_file(run: Run) -> Path:
+    """Return where the planner's training curves lie."""
+    return run.file(f"{run.plan.of_planner('training')}.npz")
+
+
+def _planner_inputs(run: Run) -> dict[str, Any]:
+    plan = run.plan
+    limit = plan.options.training_seconds
+    return {
+        "options": {
+            "planner": plan.planner_name,
+            "seed": plan.options.seed,
+            **({} if limit is None else {"training_seconds": limit}),
+        },
+        "plugins": {"planner": plugin_data(plan.planner)},
+        "task": {"navigation": dataclasses.asdict(plan.spec.navigation)},
+    }
+
+
+def _make_planner(run: Run) -> Iterable[Path]:
+    plan, policy, training = run.plan, policy_file(run), training_file(run)
+    trained = plan.planner.train(
+        run.result("surrogate"),
+        plan.spec.navigation,
+        plan.options.seed,
+        seconds=plan.options.training_seconds,
+        progress=run.progress_of("planner"),
+    )
+    plan.planner.save(trained.planner, policy)
+    curves = {name: np.asarray(curve) for name, curve in trained.curves.items()}
+    meta = {
+        "planner": plan.planner.name,
+        "seconds": trained.seconds,
+        "cut_short": trained.cut_short,
+    }
+    files.save_archive(training, "training", TRAINING_VERSION, curves, meta)
+    return [policy, training]
+
+
+def _load_planner(run: Run) -> Planner:
+    surrogate, navigation = run.result("surrogate"), run.plan.spec.navigation
+    return run.plan.planner.load(policy_file(run), surrogate, navigation)
+
+
+def _planner_figures(run: Run) -> dict[str, Any]:
+    """Return how the planner was trained."""
+    _, meta, _ = files.load_archive(training_file(run), "training", TRAINING_VERSION)
+    return {"planner": run.plan.planner.name, "cut_short": bool(meta.get("cut_short"))}
+
+
+PLANNER = Stage(
+    "planner",
+    _planner_inputs,
+    _make_planner,
+    needs=("surrogate",),
+    load=_load_planner,
+    figures=_planner_figures,
+    sections=("training",),
+    key=lambda run: run.plan.of_planner("planner"),
+    timed=True,
+)

@@ -1,0 +1,250 @@
+"""A run of a task in its folder: a loop over its stages, each made once and used again while it fits."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.pipeline.outlook import UNASKED, Anew, Consent, Outlook, why_anew
+from defplan_mj.pipeline.plan import CONFIGURATION, Plan, RunOptions, kept_options
+from defplan_mj.pipeline.provenance import plain_data
+from defplan_mj.pipeline.stage import Stage
+from defplan_mj.pipeline.stages import STAGES
+from defplan_mj.pipeline.store import Record, RunFolder, has_run, input_hash, read_config
+from defplan_mj.task import TaskSpec
+
+
+class Run:
+    """A plan and the folder it is carried out in.
+
+    `do` makes stages; `result` reads what they made, and never makes anything.
+
+    Args:
+        plan: what is asked for.
+        folder: open for the time of the run.
+        progress: told what is being made, as 'stage: detail'.
+        consent: how the user is told and asked of what is made anew.
+        anew: names of stages that are made even if they could be used again.
+        whole: the folder holds a whole run, whose stages are not made anew unasked.
+    """
+
+    plan: Plan
+    folder: RunFolder
+
+    def __init__(
+        self,
+        plan: Plan,
+        folder: RunFolder,
+        progress: Progress = no_progress,
+        consent: Consent = UNASKED,
+        anew: Iterable[str] = (),
+        whole: bool = False,
+    ) -> None:
+        self.plan, self.folder = plan, folder
+        self.consent, self.anew, self.whole = consent, frozenset(anew), whole
+        self._progress = progress
+        self._stages = {stage.name: stage for stage in STAGES}
+        self._done: dict[str, Record] = {}
+        self._results: dict[str, Any] = {}
+
+    # ---- making
+
+    def do_all(self) -> None:
+        """Do every stage of a whole run."""
+        self.plan.check()
+        self.do(*(stage for stage in STAGES if stage.included(self)))
+
+    def do(self, *wanted: str | Stage) -> None:
+        """Make stages, and those that they need, unless they are there.
+
+        Raises:
+            DefplanError: finished stages would be made anew, and that is not agreed to.
+        """
+        chain = self._chain(wanted)
+        self.consent.obtain(self._outlook(chain), str(self.folder.path), self.whole)
+        for stage in chain:
+            if stage.name not in self._done:
+                self._do(stage)
+
+    def renew_report(self) -> None:
+        """Write the report again if there is one and the folder holds more than it shows."""
+        if "report" in self.folder.records:
+            self.do("report")
+
+    def _do(self, stage: Stage) -> None:
+        before = {name: self._done[name].contents for name in self._needs(stage)}
+        inputs = self._inputs(stage, before)
+        fresh = stage.name in self.anew
+        make = functools.partial(stage.make, self)
+        self._done[stage.name] = self.folder.stage(self._key(stage), inputs, make, fresh)
+
+    def _chain(self, wanted: Iterable[str | Stage]) -> list[Stage]:
+        """Return the stages that are wanted, each after those that it needs, none twice."""
+        chain: dict[str, Stage] = {}
+        for one in wanted:
+            stage = self._stages[one] if isinstance(one, str) else one
+            self._stages.setdefault(stage.name, stage)
+            earlier = self._chain([*stage.needs, *stage.parts(self)])
+            chain |= {s.name: s for s in (*earlier, stage) if s.name not in chain}
+        return list(chain.values())
+
+    def _needs(self, stage: Stage) -> list[str]:
+        return [*stage.needs, *(part.name for part in stage.parts(self))]
+
+    def _inputs(self, stage: Stage, before: Mapping[str, Mapping[str, str]]) -> dict[str, Any]:
+        """Return everything a stage is made from."""
+        return plain_data({**stage.inputs(self), "before": before})
+
+    def _key(self, stage: Stage) -> str:
+        return stage.key(self) if stage.key else stage.name
+
+    # ---- what is about to be made anew
+
+    def _outlook(self, chain: list[Stage]) -> Outlook:
+        anew: list[Anew] = []
+        moved: set[str] = set()  # stages that may come out differently from what is there
+        for stage in chain:
+            if stage.name in self._done or stage.name == "report":
+                continue
+            reason = self._reason(stage, moved)
+            if reason is not None or not moved.isdisjoint(self._needs(stage)):
+                moved.add(stage.name)
+            if reason is not None and self._key(stage) in self.folder.records:
+                anew.append(reason)
+        return Outlook(anew, self._followers(moved, {entry.stage for entry in anew}))
+
+    def _reason(self, stage: Stage, moved: set[str]) -> Anew | None:
+        """Return why a stage has to be made, apart from what it follows from; None: it has not."""
+        record = self.folder.records.get(self._key(stage))
+        if record is None:
+            return Anew(stage.name, "missing")
+        if stage.name in self.anew:
+            return Anew(stage.name, "asked for")
+        inputs = self._inputs(stage, self._before(stage, record, moved))
+        if record.inputs == input_hash(inputs):
+            whole = self.folder.whole(self._key(stage))
+            return None if whole else Anew(stage.name, "its files are missing or damaged")
+        reason, asks = why_anew(record.made_from, inputs)
+        return Anew(stage.name, reason, asks and stage.guarded)
+
+    def _before(self, stage: Stage, record: Record, moved: set[str]) -> dict[str, Any]:
+        """Return the files before a stage: as they are, or as they were if they are still to be made."""
+        told = record.made_from.get("before")
+        was = told if isinstance(told, dict) else {}
+        found = {}
+        for name in self._needs(stage):
+            key = self._key(self._stages[name])
+            there = name not in moved and key in self.folder.records
+            found[name] = self.folder.records[key].contents if there else was.get(name, {})
+        return found
+
+    def _followers(self, moved: set[str], named: set[str]) -> list[str]:
+        """Return the finished stages that follow from those in `moved`."""
+        follow = set(moved)
+        for stage in STAGES:
+            if not follow.isdisjoint(stage.needs):
+                follow.add(stage.name)
+        finished = [s.name for s in STAGES if self._key(s) in self.folder.records]
+        return [name for name in finished if name in follow - named]
+
+    # ---- reading
+
+    def result(self, wanted: str | Stage) -> Any:
+        """Return what a stage that is done has made.
+
+        Raises:
+            KeyError: it is not done.
+        """
+        name = wanted if isinstance(wanted, str) else wanted.name
+        if name not in self._done:
+            raise KeyError(f"stage {name} is not done yet")
+        if name not in self._results:
+            self._results[name] = self._stages[name].load(self)
+        return self._results[name]
+
+    def figures(self, name: str) -> Any:
+        """Return what the JSON says of a stage that is done."""
+        return self._stages[name].figures(self)
+
+    def is_done(self, name: str) -> bool:
+        """Return whether a stage was done in this process."""
+        return name in self._done
+
+    def file(self, name: str) -> Path:
+        """Return the path of a file of this run."""
+        return self.folder.file(name)
+
+    @property
+    def files(self) -> list[str]:
+        """Names of all files of the stages that are done."""
+        return sorted(name for record in self._done.values() for name in record.files)
+
+    def seconds(self, name: str) -> float:
+        """Return the wall time a stage took when it was made, s; 0: it is not done."""
+        return self._done[name].seconds if name in self._done else 0.0
+
+    def total_seconds(self) -> float:
+        """Return the wall time of all stages that this run's results are made of, s."""
+        return sum(record.seconds for record in self._done.values())
+
+    def progress_of(self, stage: str) -> Progress:
+        """Return a Progress that names the stage."""
+
+        def show(message: str, fraction: float) -> None:
+            detail = message.removeprefix(stage.split()[0]).lstrip(": ")
+            self._progress(f"{stage}: {detail}" if detail else stage, fraction)
+
+        return show
+
+
+@contextlib.contextmanager
+def open_run(
+    spec: TaskSpec,
+    logs: Path,
+    seed: int = 0,
+    chosen: Mapping[str, Any] = MappingProxyType({}),
+    progress: Progress = no_progress,
+    *,
+    whole: bool = False,
+    fresh: bool = False,
+    consent: Consent = UNASKED,
+    anew: Iterable[str] = (),
+) -> Iterator[Run]:
+    """Open the folder `logs/<task>-seed<seed>` and yield its run.
+
+    Args:
+        chosen: fields of `RunOptions`; what is missing or None is as the folder's run was asked for,
+            or else the default.
+        whole: the folder is for a whole run: what is not chosen is the default, whatever the folder's
+            run was asked for before.
+        fresh: forget everything made before.
+        consent, anew: see `Run`.
+
+    Raises:
+        DefplanError: the folder is in use or cannot be written.
+    """
+    path = logs / f"{spec.name}-seed{seed}"
+    before = read_config(path)
+    given = {name: value for name, value in chosen.items() if value is not None}
+    kept = kept_options(before)
+    plan = Plan(spec, RunOptions(seed=seed, **{**({} if whole else kept), **given}))
+    if fresh and whole:
+        plan.check()  # before anything is forgotten
+    was_whole = before.get("whole") is True or has_run(path)
+    with RunFolder(path, _configuration(plan, before, whole or was_whole), fresh) as folder:
+        yield Run(plan, folder, progress, consent, anew, was_whole)
+
+
+def _configuration(plan: Plan, before: Mapping[str, Any], whole: bool) -> dict[str, Any]:
+    """Return what run.json says the run was asked for."""
+    config: dict[str, Any] = {"task": plan.spec.name, "seed": plan.options.seed}
+    config |= {name: getattr(plan.options, name) for name in CONFIGURATION}
+    config["whole"] = whole
+    if not whole:  # what is tried beside the run's own does not take its place
+        config |= {name: kept_options(before).get(name) for name in ("planner", "feedback")}
+    return config

@@ -1,0 +1,1 @@
+"""What is measured about bodies and gaits beside a run's own way: solvers, robustness, finer steps, times."""
