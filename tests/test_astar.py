@@ -12,10 +12,10 @@ from defplan_mj.planning.scenes import SceneBatch, novel_scenes
 from defplan_mj.planning.surrogate import Motions
 from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
-from defplan_solvers import astar, greedy
-from defplan_solvers.laser_map import LaserMap
-from defplan_solvers.manoeuvres import Manoeuvres
-from defplan_solvers.outlook import Outlook
+from defplan_solvers.search import astar, greedy
+from defplan_solvers.search.laser_map import LaserMap
+from defplan_solvers.search.manoeuvres import Manoeuvres
+from defplan_solvers.search.outlook import Outlook
 
 NAVIGATION = Navigation()
 SPATIAL = Navigation(space="spatial", beams=128, k2=30)

@@ -16,7 +16,7 @@ from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.gait.gait import Gait
 from defplan_mj.robustness import CALM, Condition, Walk, conditions, heavier, measure, walk, world
 from defplan_mj.task import BodyOptions
-from defplan_solvers.open_loop import SOLVER as NONE
+from defplan_solvers.feedback.open_loop import SOLVER as NONE
 
 ASSETS = Path(__file__).parents[1] / "tasks" / "assets"
 PACKAGED = {

@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 
 from defplan_mj.gait.problem import GaitProblem
-from defplan_solvers.cio_model import Walker
-from defplan_solvers.cio_terms import Weights, cycle_function, stage_function, state_scale
-from defplan_solvers.trajectories import Compiled, retract
+from defplan_solvers.cio.model import Walker
+from defplan_solvers.cio.terms import Weights, cycle_function, stage_function, state_scale
+from defplan_solvers.gait.trajectories import Compiled, retract
 
 _FORCE, _SHAPE, W_METRIC, _STATE = 0.3, 0.3, 0.3, 30.0  # of the damping: forces, shapes, w, states
 _LONGEST = 0.5  # of a step of the states, in rad and units of q

@@ -17,7 +17,7 @@ from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes, trai
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SUCCESS, SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation, Progress
-from defplan_solvers.dql_paper import PaperConfiguration
+from defplan_solvers.dql.paper import PaperConfiguration
 
 WIDTHS = (8, 4, 4)  # of the CNN's filters
 FEATURES = 32  # of the CNN

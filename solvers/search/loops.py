@@ -7,8 +7,8 @@ import numpy as np
 from defplan_mj.planning.planner import Observation, carried_out
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
-from defplan_solvers.odometry import Odometry
-from defplan_solvers.outlook import Outlook
+from defplan_solvers.search.odometry import Odometry
+from defplan_solvers.search.outlook import Outlook
 
 VISIT = 3.0
 """What it costs a gait to lead to where the robot was before, for each time, in values of a cycle."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from defplan_mj.gait.problem import GaitProblem
-from defplan_solvers.cio_model import Walker
-from defplan_solvers.cio_newton import Walk
+from defplan_solvers.cio.model import Walker
+from defplan_solvers.cio.newton import Walk
 
 PATTERNS: dict[str, tuple[tuple[float, ...], float]] = {
     "trot": ((0.0, 0.5, 0.5, 0.0), 0.55),

@@ -1,6 +1,6 @@
 """What planner `dql` owes to each part of its recipe: trainings with one thing changed.
 
-    python -m defplan_solvers.dql_ablations quadruped-swim RUN/surrogate.npz [--transitions N] [--seeds N]
+    python -m defplan_solvers.dql.ablations quadruped-swim RUN/surrogate.npz [--transitions N] [--seeds N]
 
 prints the table of docs/planning.md, a row as soon as it is there.
 """
@@ -19,7 +19,7 @@ from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SUCCESS, TIMEOUT, run_on_surrogate
 from defplan_mj.task import Navigation, no_progress
-from defplan_solvers.dql_training import Recipe, train
+from defplan_solvers.dql.training import Recipe, train
 
 CHANGES: dict[str, dict] = {
     "the recipe": {},

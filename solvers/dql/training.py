@@ -36,7 +36,7 @@ from defplan_mj.planning.surrogate_env import (
     run_on_surrogate,
 )
 from defplan_mj.task import Navigation, Progress
-from defplan_solvers.dql import QNetwork
+from defplan_solvers.dql.dql import QNetwork
 
 
 @dataclass(frozen=True)

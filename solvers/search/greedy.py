@@ -9,8 +9,8 @@ from defplan_mj.planning.observation import laser_points
 from defplan_mj.planning.planner import Observation
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
-from defplan_solvers.outlook import Outlook
-from defplan_solvers.untrained import UntrainedSolver
+from defplan_solvers.search.outlook import Outlook
+from defplan_solvers.search.untrained import UntrainedSolver
 
 FAR = 100.0  # what a hit costs, cycles: more than any gait gains
 

@@ -1,6 +1,6 @@
 """Planner `dql`: deep Q-learning on the rigid surrogate; acts by a small network in plain NumPy.
 
-The recipe is in `dql_training.py`, which is imported only to train: acting needs no torch.
+The recipe is in `training.py`, which is imported only to train: acting needs no torch.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation, Progress, no_progress
-from defplan_solvers.loops import LoopBreaker
 from defplan_solvers.policy_files import load_policy, save_policy
+from defplan_solvers.search.loops import LoopBreaker
 
 SAFETY_SECONDS = 600.0
 """Wall time after which training stops even if its transitions are not used up, s."""
@@ -97,7 +97,7 @@ class DqlSolver:
         Args:
             seconds: limit of the wall time (default 600); reached, the result depends on the machine.
         """
-        from defplan_solvers.dql_training import Recipe, train
+        from defplan_solvers.dql.training import Recipe, train
 
         started = time.perf_counter()
         limit = SAFETY_SECONDS if seconds is None else seconds

@@ -22,7 +22,7 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.mean_cycle import MeanCycle, mean_cycles, turn_tangent
-from defplan_solvers.ilqg_step import Cost, Guide, cost_to_go, optimise
+from defplan_solvers.feedback.ilqg_step import Cost, Guide, cost_to_go, optimise
 
 
 @dataclass(frozen=True)

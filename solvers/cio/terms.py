@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 
 from defplan_mj.gait.problem import GaitProblem
-from defplan_solvers.cio_model import Walker
-from defplan_solvers.trajectories import difference, retract
+from defplan_solvers.cio.model import Walker
+from defplan_solvers.gait.trajectories import difference, retract
 
 _TURN, _SHAPE = 0.3, 0.1  # metres that one radian, and one unit of q, count in E_phys
 _TOUCH = 0.02  # share of the weight from which a foot counts as touching

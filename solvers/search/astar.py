@@ -10,10 +10,10 @@ from defplan_mj.planning.planner import Observation, carried_out
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
-from defplan_solvers.laser_map import LaserMap
-from defplan_solvers.manoeuvres import Manoeuvres
-from defplan_solvers.outlook import Outlook
-from defplan_solvers.untrained import UntrainedSolver
+from defplan_solvers.search.laser_map import LaserMap
+from defplan_solvers.search.manoeuvres import Manoeuvres
+from defplan_solvers.search.outlook import Outlook
+from defplan_solvers.search.untrained import UntrainedSolver
 
 HORIZON = 9.0  # a plan that gets this far from the robot is good enough, m
 MARGINS = (

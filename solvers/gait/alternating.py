@@ -17,7 +17,7 @@ import numpy as np
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.task import Progress, no_progress
-from defplan_solvers.trajectories import Trajectories
+from defplan_solvers.gait.trajectories import Trajectories
 
 _IPOPT = {
     "hessian_approximation": "limited-memory",

@@ -8,7 +8,7 @@ from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.observation import laser_points
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
-from defplan_solvers.odometry import Odometry
+from defplan_solvers.search.odometry import Odometry
 
 CELL = 0.25  # a remembered point stands for its neighbours this close, m
 REACH = 15.0  # points farther away are forgotten, m

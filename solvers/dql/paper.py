@@ -1,6 +1,6 @@
 """Planner `dql-paper`: deep Q-learning exactly as the paper describes it (section V), in PyTorch.
 
-The training is in `dql_paper_training.py`. What the paper leaves open, and what is chosen here, is
+The training is in `paper_training.py`. What the paper leaves open, and what is chosen here, is
 listed in docs/planning.md.
 """
 
@@ -20,7 +20,7 @@ from defplan_mj.task import Navigation, Progress, no_progress
 from defplan_solvers.policy_files import load_policy, save_policy
 
 if TYPE_CHECKING:
-    from defplan_solvers.dql_paper_training import PaperNetwork
+    from defplan_solvers.dql.paper_training import PaperNetwork
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class DqlPaperSolver:
         Args:
             seconds: stop after this wall time (default: when all iterations are done).
         """
-        from defplan_solvers.dql_paper_training import train
+        from defplan_solvers.dql.paper_training import train
 
         started = time.perf_counter()
         network, curves, meta = train(
@@ -138,7 +138,7 @@ class DqlPaperSolver:
         """
         import torch
 
-        from defplan_solvers.dql_paper_training import PaperNetwork
+        from defplan_solvers.dql.paper_training import PaperNetwork
 
         arrays, meta = load_policy(path, self.name, surrogate.task_names)
         if (meta["beams"], meta["space"]) != (navigation.beams, navigation.space):

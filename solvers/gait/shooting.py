@@ -18,7 +18,7 @@ import numpy as np
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.task import Progress, no_progress
-from defplan_solvers.shooting_walk import Trace, Walking
+from defplan_solvers.gait.shooting_walk import Trace, Walking
 
 IPOPT = {
     "hessian_approximation": "limited-memory",

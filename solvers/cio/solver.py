@@ -1,7 +1,7 @@
 """Gait solvers `cio`, `cio-alternating` and `cio-shooting`: contact-invariant optimisation of a walker's gaits.
 
 The paper's Eq. 1 with E_cio: the forces on the feet are unknowns beside states and target shapes, and
-a cost makes contact and force agree (cio_terms.py), so that a gradient can move a foot to another place
+a cost makes contact and force agree (terms.py), so that a gradient can move a foot to another place
 in another step. Weights are raised stage by stage, from gliding to walking (docs/gaits.md).
 """
 
@@ -15,12 +15,13 @@ import numpy as np
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.task import Progress, no_progress
-from defplan_solvers import cio_start, shooting
-from defplan_solvers.alternating import Fit
-from defplan_solvers.cio_model import Walker, walker_of
-from defplan_solvers.cio_newton import ContactInvariant, Walk
-from defplan_solvers.cio_terms import Weights
-from defplan_solvers.shooting_walk import Walking
+from defplan_solvers.cio import start
+from defplan_solvers.cio.model import Walker, walker_of
+from defplan_solvers.cio.newton import ContactInvariant, Walk
+from defplan_solvers.cio.terms import Weights
+from defplan_solvers.gait import shooting
+from defplan_solvers.gait.alternating import Fit
+from defplan_solvers.gait.shooting_walk import Walking
 
 _DAMPING = 1e-2
 _GENTLE = 0.4  # wanted of a cycle at first if it is polished, lengths of the body
@@ -31,7 +32,7 @@ class Stage:
     """One stage: weights of E_phys, E_cio and E_dmp, and how long.
 
     Attributes:
-        physics, contact, dmp: see cio_terms.Weights; `dmp` is for the alternating scheme.
+        physics, contact, dmp: see terms.Weights; `dmp` is for the alternating scheme.
         iterations: of Gauss-Newton; by turns, in each round.
         rounds: of the alternating scheme.
     """
@@ -68,7 +69,7 @@ class Cio:
         joint: 'joint' has states, forces and w as unknowns at once (target shapes are the DMP's);
             the paper's alternation has states, forces and target shapes for fixed w, and w for fixed
             target shapes, by turns.
-        patterns: which feet are down when, at the starts (cio_start.PATTERNS, or 'random'); each task
+        patterns: which feet are down when, at the starts (start.PATTERNS, or 'random'); each task
             keeps the start that does best.
         cycles: of each task's trajectory; the first one, from rest, is not judged.
         stages: weights, stage by stage.
@@ -149,9 +150,7 @@ class Cio:
         """Take all tasks from all patterns side by side; each task keeps its best."""
         began, k = time.perf_counter(), problem.n_tasks
         tasks = list(range(k)) * len(patterns)
-        walk = cio_start.starts(
-            walker, problem, tasks, list(np.repeat(patterns, k)), self.cycles, rng
-        )
+        walk = start.starts(walker, problem, tasks, list(np.repeat(patterns, k)), self.cycles, rng)
         problem_of_all = self._contact_invariant(walker, problem, tasks)
         history: list[float] = []
         for number, stage in enumerate(self.stages):
@@ -178,9 +177,7 @@ class Cio:
         fit = Fit(problem, [[j] * self.cycles for j in range(k)], self.bound, self.fit_iterations)
         for done, pattern in enumerate(patterns):
             began, history = time.perf_counter(), []
-            walk = cio_start.starts(
-                walker, problem, list(range(k)), [pattern] * k, self.cycles, rng
-            )
+            walk = start.starts(walker, problem, list(range(k)), [pattern] * k, self.cycles, rng)
             w = _together(problem, walk.w)
             walk = Walk(walk.states, walk.forces, by_turns.dmp(walk.w), walk.w)
             for number, stage in enumerate(self.stages):
