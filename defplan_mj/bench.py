@@ -16,7 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from defplan_mj import registry, threads
+from defplan_mj import registry
+from defplan_mj.base import threads
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.bench_integrators import error_against_time, integrators
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.full_fem import FullFem
@@ -26,7 +28,7 @@ from defplan_mj.kernel import library
 from defplan_mj.planning.scenes import Scene, novel_scenes, training_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv
-from defplan_mj.task import Navigation, Progress, TaskSpec, no_progress
+from defplan_mj.task import Navigation, TaskSpec
 from defplan_mj.timing import Timing, measure
 
 OBSTACLES = 10

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.check import placed_vertices
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.full_fem import FemState, FullFem
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import evaluate_switching, heading, tilt, wrap
-from defplan_mj.task import GaitTask, Progress, TaskSpec, no_progress
+from defplan_mj.task import GaitTask, TaskSpec
 
 CHECK_FILE = "check.json"
 FINER = 4  # what every step is divided by

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from defplan_mj import registry
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 
 if TYPE_CHECKING:
     from defplan_mj.gait.gait import Gait

@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from defplan_mj import files, registry, threads
+from defplan_mj import registry
+from defplan_mj.base import files, threads
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
 from defplan_mj.dynamics.terrain import Terrain, TerrainGeom, pack_terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.switching import MAX_TILT, MIN_HEIGHT, heading, tilt, wrap
 from defplan_mj.planning.evaluation import wilson_interval
-from defplan_mj.task import Progress, no_progress
 
 if TYPE_CHECKING:
     from defplan_mj.run import Run

@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from defplan_mj import files, registry, threads
+from defplan_mj import registry
+from defplan_mj.base import files, threads
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.dynamics.terrain import terrain_json
 from defplan_mj.rivals import SWITCHING_CYCLES
 from defplan_mj.store import RunFolder, file_hash, read_config
-from defplan_mj.task import Progress, TaskSpec, no_progress
+from defplan_mj.task import TaskSpec
 from defplan_mj.trial import Recorders, evaluate
 
 if TYPE_CHECKING:

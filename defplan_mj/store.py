@@ -12,8 +12,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-from defplan_mj import __version__, files
-from defplan_mj.errors import DefplanError
+from defplan_mj import __version__
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 
 FORMAT_VERSION = 1
 RUN_FILE = "run.json"

@@ -13,7 +13,7 @@ from typing import Any
 from dm_control.rl import control
 
 from defplan_mj import registry
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 
 _DOMAINS: dict[str, Any] = {
     entry.name: entry.value for entry in registry.domains() if hasattr(entry.value, "SUITE")

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Material, Medium
 from defplan_mj.dynamics.terrain import Terrain
-from defplan_mj.errors import DefplanError
 
 SPACES = {"planar": 2, "spatial": 3}
 """Where a task navigates, and in how many dimensions."""
-
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the fraction done (0 to 1)."""
-
-
-def no_progress(message: str, fraction: float) -> None:
-    """Show nothing."""
 
 
 @dataclass(frozen=True)

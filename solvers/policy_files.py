@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from defplan_mj import files
-from defplan_mj.errors import DefplanError
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 
 FORMAT_VERSION = 1
 

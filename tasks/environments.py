@@ -8,8 +8,8 @@ import numpy as np
 from dm_control.rl import control
 from dm_control.suite import base
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.navigation import navigation_environment
 from defplan_mj.host.physics import Physics

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from defplan_mj import files
+from defplan_mj.base import files
 
 Solid = Callable[[np.ndarray], np.ndarray]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from defplan_mj import threads
+from defplan_mj.base import threads
 
 threads.set_environment(1)  # before a test loads numpy
 

@@ -4,8 +4,8 @@ import numpy as np
 import planning_samples as samples
 import pytest
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.rigid import RigidDynamics
-from defplan_mj.errors import DefplanError
 from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.frames import attitude_frames
 from defplan_mj.planning.scenes import SceneBatch, novel_scenes

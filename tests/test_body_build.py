@@ -10,12 +10,12 @@ import pytest
 import trimesh
 from body_meshes import bar, pill
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.build import build_body, mode_scales
 from defplan_mj.body.check import placed_vertices, reconstruction_error, reduced_vertices
 from defplan_mj.body.model import Body, Material
 from defplan_mj.body.rotation_strain import RotationStrain, feature_map
 from defplan_mj.body.tetmesh import TetMesh, boundary
-from defplan_mj.errors import DefplanError
 from defplan_mj.task import BodyOptions
 
 OPTIONS = BodyOptions(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from body_meshes import bar
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.convergence import (
     frequencies,
     quadratic_modes,
@@ -15,7 +16,6 @@ from defplan_mj.body.convergence import (
 from defplan_mj.body.elasticity import linear_modes
 from defplan_mj.body.model import Material
 from defplan_mj.body.tetmesh import lumped_mass, volumes
-from defplan_mj.errors import DefplanError
 
 CORK = Material(density=1000.0, youngs_modulus=1e6, poissons_ratio=0.0)
 SIDE = 0.05

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from body_meshes import FISH, bar, pill, surface_of
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body import lattice
 from defplan_mj.body.fitting import closest_on_triangles, spread_points
 from defplan_mj.body.meshing import fill, stuff
@@ -20,7 +21,6 @@ from defplan_mj.body.tetmesh import (
     split_longest_edges,
     volumes,
 )
-from defplan_mj.errors import DefplanError
 
 
 def _check_sound(mesh: TetMesh) -> trimesh.Trimesh:

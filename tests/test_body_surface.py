@@ -8,10 +8,10 @@ import pytest
 import trimesh
 from body_meshes import FISH, bar, pill
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.intersections import _near_pairs, crossing_triangles
 from defplan_mj.body.surface import Surface, load_mesh
 from defplan_mj.body.tetmesh import TetMesh, volumes
-from defplan_mj.errors import DefplanError
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off", "gltf", "glb"])

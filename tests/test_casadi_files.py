@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from kernel_cases import in_medium, random_state
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body, Medium
 from defplan_mj.dynamics import casadi_files, casadi_slots
 from defplan_mj.dynamics.external import CasadiDynamics, failure, load_function, save_function
 from defplan_mj.dynamics.feet import lowest_feet
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.errors import DefplanError
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from defplan_mj import check, registry
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli import main
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 
 

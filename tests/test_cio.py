@@ -10,11 +10,11 @@ import pytest
 from scipy.spatial import Delaunay
 from toy_walker import MASS, STAND, toy_walker
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.build import build_body
 from defplan_mj.body.model import Medium
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import measure_cycles
 from defplan_mj.task import BodyOptions, GaitTask

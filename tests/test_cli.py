@@ -12,9 +12,9 @@ import sys
 import pytest
 
 from defplan_mj import cli
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli import commands
 from defplan_mj.cli.console import Console, table
-from defplan_mj.errors import DefplanError
 
 COMMANDS = "list run body gait surrogate planner evaluate bench compare replay view".split()
 

@@ -9,8 +9,8 @@ import pytest
 import trimesh
 
 from defplan_mj import cli
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
-from defplan_mj.errors import DefplanError
 
 SMALL = ["--vertices", "300", "--modes", "3", "--quiet"]
 

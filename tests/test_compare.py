@@ -18,7 +18,7 @@ from log_samples import (
 )
 from scipy.spatial.transform import Rotation
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.log.compare import DRIFT_COLUMNS, compare_logs
 from defplan_mj.log.poses import angle, predict, quaternion, rotation_matrix, yaw
 from defplan_mj.log.reader import read_log

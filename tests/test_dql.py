@@ -8,7 +8,7 @@ import planning_samples as samples
 import pytest
 import torch
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.scenes import training_scenes
 from defplan_mj.planning.surrogate_env import SurrogateEnv

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from kernel_cases import random_state
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.errors import DefplanError
 
 
 @pytest.fixture(scope="module")

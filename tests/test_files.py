@@ -12,8 +12,8 @@ import time
 import numpy as np
 import pytest
 
-from defplan_mj import files
-from defplan_mj.errors import DefplanError
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 
 ARRAYS = {"a": np.arange(2000.0).reshape(20, 100), "b": np.array([1, 2, 3])}
 META = {"name": "fish", "seconds": 1.5}
@@ -130,7 +130,7 @@ def test_a_process_killed_while_writing_leaves_the_old_file(tmp_path):
     path = tmp_path / "a.txt"
     files.write_text(path, "old")
     code = (
-        "import sys, time; from defplan_mj import files\n"
+        "import sys, time; from defplan_mj.base import files\n"
         "with files.atomic_path(sys.argv[1]) as temporary:\n"
         "    temporary.write_text('half'); print('writing', flush=True); time.sleep(60)"
     )

@@ -10,6 +10,7 @@ from body_meshes import FISH, bar, unreduced_body
 from scipy.linalg import polar as scipy_polar
 from scipy.optimize import brentq
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Material, Medium
 from defplan_mj.body.rotation_strain import exponential
 from defplan_mj.body.sparse_cholesky import SparseCholesky
@@ -18,7 +19,6 @@ from defplan_mj.dynamics.fem_contact import FemContact
 from defplan_mj.dynamics.fem_step import Touch
 from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.terrain import Heightfield, Terrain, TerrainGeom
-from defplan_mj.errors import DefplanError
 
 LOOSE = Material(damping=0.0, control_stiffness=0.0)
 H = 0.01

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait import switching
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem, balanced_sequence

@@ -11,7 +11,7 @@ import pytest
 from mujoco import rollout
 from scipy.spatial.transform import Rotation
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.host.navigation import Navigate, navigation_environment
 from defplan_mj.planning.frames import level_attitude
 from defplan_mj.planning.scenes import Scene, novel_scenes

@@ -15,7 +15,7 @@ import pytest
 from mujoco import rollout
 from mujoco.batch import Batch
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.host.plugin import load_plugin
 from defplan_mj.host.scene import build_spec, compile_model
 

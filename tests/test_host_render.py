@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.host import render
 from defplan_mj.host.render import motes_around, render_states
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from defplan_mj import suite
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.host import viewer
 
 

@@ -19,6 +19,7 @@ from kernel_cases import (
     synthetic_body,
 )
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.build import build_body
 from defplan_mj.body.model import Body, Medium
 from defplan_mj.dynamics.external import CasadiDynamics
@@ -26,7 +27,6 @@ from defplan_mj.dynamics.feet import Feet, lowest_feet
 from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Heightfield, Terrain, TerrainGeom, pack_terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.kernel.contact_points import contact_points, shape_coordinates
 from defplan_mj.kernel.library import kernel
 from defplan_mj.task import BodyOptions

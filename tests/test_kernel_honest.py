@@ -36,7 +36,7 @@ from defplan_mj.body.model import Body
 from defplan_mj.dynamics.feet import lowest_feet
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 
 def bad(array, index, value):
     array = np.array(array, float)

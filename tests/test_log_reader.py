@@ -9,7 +9,7 @@ import pytest
 from log_samples import record_episode
 from mcap.opcode import Opcode
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.log.reader import read_log
 
 

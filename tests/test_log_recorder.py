@@ -23,7 +23,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.log import schemas
 from defplan_mj.log.poses import predict, rotation_matrix, yaw
 from defplan_mj.log.reader import read_log

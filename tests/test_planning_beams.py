@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import SphericalVoronoi
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.planning.beams import beam_directions
 from defplan_mj.task import Navigation
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.kernel import library
 
 SOURCE = Path(library.__file__).with_name("machine.c")

@@ -9,10 +9,10 @@ import pytest
 from kernel_cases import EVERY_FORCE, in_medium, matrix, random_state
 from scipy.linalg import expm
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain
-from defplan_mj.errors import DefplanError
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from importlib.metadata import EntryPoint
 import pytest
 
 from defplan_mj import registry
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 
 
 class Solver:

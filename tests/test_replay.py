@@ -18,6 +18,7 @@ from log_samples import (
 )
 
 from defplan_mj import registry
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Medium
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import (
@@ -27,7 +28,6 @@ from defplan_mj.dynamics.terrain import (
     terrain_json,
     terrain_of,
 )
-from defplan_mj.errors import DefplanError
 from defplan_mj.log.poses import rotation_matrix
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.recorder import Recorder

@@ -23,8 +23,8 @@ from log_samples import (
     tumbling_gait,
 )
 
-from defplan_mj import files
-from defplan_mj.errors import DefplanError
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.report import write_report

@@ -13,9 +13,11 @@ import sys
 import numpy as np
 import pytest
 
-from defplan_mj import cli, files, registry
+from defplan_mj import cli, registry
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.progress import no_progress
 from defplan_mj.body.build import build_body
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.replay import replay_log
@@ -23,7 +25,7 @@ from defplan_mj.planning.evaluation import OUTCOMES
 from defplan_mj.planning.planner import TrainResult
 from defplan_mj.results import run_results
 from defplan_mj.run import SPEEDS, open_run
-from defplan_mj.task import BodyOptions, Navigation, TaskSpec, no_progress
+from defplan_mj.task import BodyOptions, Navigation, TaskSpec
 
 NAVIGATION = Navigation(
     distance=4.0, max_cycles=4, k2=2, k2_obstacles=1, novel_obstacles=2, beams=16

@@ -9,8 +9,8 @@ import sys
 
 import pytest
 
-from defplan_mj import files
-from defplan_mj.errors import DefplanError
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.store import RUN_FILE, RunFolder, input_hash
 
 

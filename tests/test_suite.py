@@ -16,7 +16,7 @@ from dm_control.rl import control
 from mujoco import rollout
 
 from defplan_mj import suite
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_tasks import environments
 
 KWARGS = {

@@ -10,7 +10,7 @@ import threading
 import pytest
 from threadpoolctl import threadpool_info
 
-from defplan_mj import threads
+from defplan_mj.base import threads
 
 
 def test_limit_threads_limits_every_pool_that_is_loaded():
@@ -41,7 +41,7 @@ def test_interruptible_work_runs_in_another_thread_and_gives_its_result_or_error
 def test_ctrl_c_ends_a_wait_for_work_that_does_not_listen():
     code = """
 import os, signal, sys, threading, time
-from defplan_mj import threads
+from defplan_mj.base import threads
 
 def deaf():
     threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from log_samples import sample_body, sample_gait
 
-from defplan_mj import files
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import FORMAT_VERSION, Body, Material, Medium
 from defplan_mj.dynamics.terrain import Heightfield, Terrain, TerrainGeom, pack_terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.kernel.pack import pack_body
 

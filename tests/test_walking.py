@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from defplan_mj import registry, suite
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.build import build_body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain, TerrainGeom
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.friction import Sliding
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem

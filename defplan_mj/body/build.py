@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.convergence import stiffness_correction
 from defplan_mj.body.cubature import drag_points
 from defplan_mj.body.elasticity import linear_modes
@@ -17,8 +19,7 @@ from defplan_mj.body.reduction import reduce_shapes
 from defplan_mj.body.rotation_strain import RotationStrain, feature_map
 from defplan_mj.body.surface import Surface, load_mesh
 from defplan_mj.body.tetmesh import TetMesh, boundary, lumped_mass, quality, volumes
-from defplan_mj.errors import DefplanError
-from defplan_mj.task import BodyOptions, Progress, no_progress
+from defplan_mj.task import BodyOptions
 
 _ROTATION, _STRAIN = 1.0, 0.4  # what q = 1 is about: rad of rotation, or strain
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.model import Body
 from defplan_mj.body.reduction import sample_shapes
 from defplan_mj.body.rotation_strain import RotationStrain, deformation, exponential
 from defplan_mj.body.tetmesh import TetMesh, volumes
-from defplan_mj.task import Progress, no_progress
 
 _TIMESTEP, _DURATION = 0.02, 0.2  # of the released shape, s
 

@@ -13,11 +13,11 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.elasticity import lame, linear_modes
 from defplan_mj.body.model import Material
 from defplan_mj.body.sparse_cholesky import SparseCholesky
 from defplan_mj.body.tetmesh import TetMesh, lumped_mass, shape_gradients, volumes
-from defplan_mj.errors import DefplanError
 
 _EDGES = np.array(((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)))
 # Eight of a tetrahedron with corners 0 to 3 and edge middles 4 to 9: four at corners, the octahedron in four.

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body import lattice
 from defplan_mj.body.fitting import fit_boundary, spread_points
 from defplan_mj.body.surface import Surface
@@ -24,7 +25,6 @@ from defplan_mj.body.tetmesh import (
     split_longest_edges,
     volumes,
 )
-from defplan_mj.errors import DefplanError
 
 # Shares of an edge within which a crossing pulls the lattice point onto the surface
 # (Labelle and Shewchuk, table 1: every dihedral angle then stays above 10.7 degrees).

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from defplan_mj import files
+from defplan_mj.base import files
 
 FORMAT_VERSION = 2
 REMAKE = "build it again from its mesh with `defplan body MESH`"

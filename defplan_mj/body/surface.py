@@ -11,9 +11,9 @@ import trimesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.intersections import crossing_triangles
 from defplan_mj.body.tetmesh import TetMesh, compact, face_pieces, volumes
-from defplan_mj.errors import DefplanError
 
 SURFACE_FORMATS = (".stl", ".obj", ".ply", ".off", ".gltf", ".glb")
 TETRAHEDRAL_FORMATS = (".msh", ".vtk", ".vtu")

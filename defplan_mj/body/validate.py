@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 
 if TYPE_CHECKING:
     from defplan_mj.body.model import Body

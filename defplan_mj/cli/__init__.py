@@ -10,8 +10,8 @@ import sys
 import traceback
 from collections.abc import Iterator, Sequence
 
-from defplan_mj import threads
-from defplan_mj.errors import DefplanError
+from defplan_mj.base import threads
+from defplan_mj.base.errors import DefplanError
 
 STOPPED = 130  # what shells report for a program ended by Ctrl-C
 

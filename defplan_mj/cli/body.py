@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli.console import Console
-from defplan_mj.errors import DefplanError
 
 if TYPE_CHECKING:
     from defplan_mj.body.model import Body
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def body(arguments: argparse.Namespace, console: Console) -> int:
     """Build the body, write it, print what it is."""
-    from defplan_mj import files
+    from defplan_mj.base import files
     from defplan_mj.body.build import build_body
 
     mesh, options, name = _what(arguments)

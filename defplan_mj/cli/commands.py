@@ -22,8 +22,8 @@ from defplan_mj.cli.text import (
 )
 
 if TYPE_CHECKING:
+    from defplan_mj.base.progress import Progress
     from defplan_mj.run import Run
-    from defplan_mj.task import Progress
 
 
 def list_installed(arguments: argparse.Namespace, console: Console) -> int:

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from defplan_mj.task import Progress
+    from defplan_mj.base.progress import Progress
 
 PLAIN_SECONDS = 5.0  # a plain progress line at most this often
 BAR_SECONDS = 0.1

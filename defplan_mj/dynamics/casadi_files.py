@@ -9,9 +9,9 @@ from pathlib import Path
 import casadi
 import numpy as np
 
-from defplan_mj import files
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics import casadi_slots
-from defplan_mj.errors import DefplanError
 from defplan_mj.kernel import library
 
 _KIND, _PROBLEM, _VERSION = "CasADi function", "CasADi problem", 1

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import casadi
 import numpy as np
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.kernel import library
 
 N_SLOTS = 64

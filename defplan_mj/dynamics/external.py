@@ -6,6 +6,7 @@ from functools import cached_property
 
 import casadi
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.casadi_files import (
     Instance,
     load_function,
@@ -15,7 +16,6 @@ from defplan_mj.dynamics.casadi_files import (
 )
 from defplan_mj.dynamics.casadi_slots import failure, make_function
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.errors import DefplanError
 
 __all__ = [
     "CasadiDynamics",

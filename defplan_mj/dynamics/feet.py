@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
-from defplan_mj.errors import DefplanError
 from defplan_mj.kernel.pack import pack_field
 
 HEADER, MAX_FEET = 8, 16  # kernel/kinematics.c, kernel/kernel.h

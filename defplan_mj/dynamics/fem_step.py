@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.body.sparse_cholesky import CholeskyFactor, SparseCholesky
 from defplan_mj.body.tetmesh import boundary, shape_gradients, volumes
@@ -29,7 +30,6 @@ from defplan_mj.dynamics.corotational import (
     stress,
 )
 from defplan_mj.dynamics.fem_contact import FemContact, HeldContact
-from defplan_mj.errors import DefplanError
 
 _SPEED_SQUARED = 1e-4  # m^2/s^2: rounds the tangential drag at rest, as in the reduced step
 _FACE_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))

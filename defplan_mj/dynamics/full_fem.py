@@ -33,6 +33,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.elasticity import lame
 from defplan_mj.body.model import Body
 from defplan_mj.body.rotation_strain import RotationStrain, strain_matrices
@@ -41,7 +42,6 @@ from defplan_mj.dynamics.corotational import density, isotropic, polar, stress
 from defplan_mj.dynamics.fem_contact import FemContact
 from defplan_mj.dynamics.fem_step import Drag, Elements, Step, Touch, Viscosity, minimise
 from defplan_mj.dynamics.terrain import Terrain
-from defplan_mj.errors import DefplanError
 
 _Problem = tuple[Step, np.ndarray, Callable[[np.ndarray], np.ndarray]]
 INTEGRATORS = ("variational", "implicit-euler")

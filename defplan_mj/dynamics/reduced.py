@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.feet import Feet, pack_feet
 from defplan_mj.dynamics.terrain import Terrain, pack_terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.kernel.library import Info, Model, kernel
 from defplan_mj.kernel.pack import pack_body, pack_options, stepping_of
 

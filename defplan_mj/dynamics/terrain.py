@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
-from defplan_mj.errors import DefplanError
 
 STANDARD_GRAVITY = 9.81
 MOST_GEOMS, MOST_HEIGHTS = 10_000, 10_000_000

@@ -5,11 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.feet import MAX_FEET, Feet
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import GROUND, pack_terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.footing import SOLE
 from defplan_mj.kernel.contact_points import contact_points
 

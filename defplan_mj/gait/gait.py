@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from defplan_mj import files
-from defplan_mj.errors import DefplanError
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.kernel.pack import INTEGRATORS, MAX_SUBSTEPS
 
 FORMAT_VERSION = 2

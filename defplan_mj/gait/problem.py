@@ -14,9 +14,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait import costs, export
 from defplan_mj.gait.friction import Sliding
 from defplan_mj.gait.gait import Gait

@@ -7,9 +7,9 @@ import time
 import mujoco
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.body.tetmesh import volumes
-from defplan_mj.errors import DefplanError
 
 PARAMETRISATIONS = ("full", "trilinear")
 

@@ -11,10 +11,10 @@ from dm_control.rl import control
 from dm_control.suite import base
 from dm_env import specs
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.feedback import Feedback, OpenLoop
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.physics import Physics

@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.host.scene import (
     DRAWN_HALF_HEIGHT,
     DRAWN_HEIGHT,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import mujoco
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.kernel.library import kernel, library_path
 
 NAME = "defplan.reduced_fem"

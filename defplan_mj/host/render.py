@@ -12,10 +12,10 @@ import imageio.v2 as imageio
 import mujoco
 import numpy as np
 
-from defplan_mj import files
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.host import skin
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.scene import build_spec, compile_model

@@ -9,9 +9,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain, pack_terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.host import skin
 from defplan_mj.host.ground import add_terrain
 from defplan_mj.host.plugin import NAME as PLUGIN

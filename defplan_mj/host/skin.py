@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from defplan_mj import registry
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
-from defplan_mj.errors import DefplanError
 
 BACK = (0.16, 0.30, 0.42)
 BELLY = (0.85, 0.87, 0.82)

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from dm_control.rl import control
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import ROBOT
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 
 # Where libraries lie that were built elsewhere: those of `make sanitize`.
 FOLDER = os.environ.get("DEFPLAN_LIBRARIES", "")

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import LIMITS, Body
 from defplan_mj.body.validate import validate_body
-from defplan_mj.errors import DefplanError
 from defplan_mj.kernel.contact_points import contact_points
 
 MAGIC, VERSION, HEADER, PAD = 20181018.0, 2.0, 16, 8

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.log.poses import angle, predict, rotation_matrix, yaw
 from defplan_mj.log.reader import EpisodeLog, read_log
 

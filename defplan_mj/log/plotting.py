@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from defplan_mj import files
-from defplan_mj.errors import DefplanError
+from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 
 INK, FAINT = "#2b2f33", "#9aa1a8"
 PATH, OBSTACLE, TARGET, BODY = "#2e8b57", "#4a6fb5", "#c8392b", "#1f7a8c"

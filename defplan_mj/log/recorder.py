@@ -17,7 +17,7 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
 import defplan_mj
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.log import schemas, wire
 from defplan_mj.log.messages import (
     contact_forces,

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.log import schemas
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import versions
-from defplan_mj.task import Navigation, Progress, no_progress
+from defplan_mj.task import Navigation
 
 
 @dataclass(frozen=True)

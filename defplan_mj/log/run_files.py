@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain, terrain_json
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.decimate import decimate
 from defplan_mj.planning.surrogate import Surrogate

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from defplan_mj import threads
+from defplan_mj.base import threads
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.planning.planner import Planner
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.shield import Shield
-from defplan_mj.task import Navigation, Progress, no_progress
+from defplan_mj.task import Navigation
 
 if TYPE_CHECKING:
     from dm_control.rl.control import Environment

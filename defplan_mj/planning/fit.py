@@ -7,15 +7,15 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from defplan_mj import threads
+from defplan_mj.base import threads
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.model import Body
 from defplan_mj.body.rotation_strain import deformation
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.switching import roll_cycles, since_rest
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.task import Progress, no_progress
 
 CHAINS = 20  # independent runs of random switching; a fixed number, so that threads do not matter
 WARM_UP = 3  # first cycles of a chain, from rest, that are not counted

@@ -9,8 +9,9 @@ from typing import Protocol
 
 import numpy as np
 
+from defplan_mj.base.progress import Progress
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.task import Navigation, Progress
+from defplan_mj.task import Navigation
 
 Observation = Mapping[str, np.ndarray]
 """'laser' (beams,) m; 'target' (3,) m, of which the first d count; 'state' reduced state. All in the

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from defplan_mj import files
+from defplan_mj.base import files
 from defplan_mj.planning.frames import frames_of
 from defplan_mj.task import SPACES
 

@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from defplan_mj import registry
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import PARTIAL_SUFFIX

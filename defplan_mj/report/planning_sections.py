@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.log.compare import DRIFT_COLUMNS, compare_logs
 from defplan_mj.log.compare_plot import comparison_figures
 from defplan_mj.log.reader import EpisodeLog

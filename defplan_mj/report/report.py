@@ -7,7 +7,8 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from defplan_mj import files
+from defplan_mj.base import files
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.report.check_section import check_section
 from defplan_mj.report.content import Code, Fact, Missing, Section, Table, Text, duration, percent
 from defplan_mj.report.material import Material, gather
@@ -27,7 +28,6 @@ from defplan_mj.report.sections import (
     surrogate_section,
     time_section,
 )
-from defplan_mj.task import Progress, no_progress
 
 REPORT_FILE = "report.html"
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.feet import Feet, lowest_feet
 from defplan_mj.dynamics.terrain import GROUND, pack_terrain
-from defplan_mj.errors import DefplanError
 from defplan_mj.gait.problem import GaitProblem
 
 _WIDE = 0.3  # of the body's length: a foot that wide can tip, and is two

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
-from defplan_mj.task import Progress, no_progress
 from defplan_solvers.cio import start
 from defplan_solvers.cio.model import Walker, walker_of
 from defplan_solvers.cio.newton import ContactInvariant, Walk

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.task import Navigation, Progress, no_progress
+from defplan_mj.task import Navigation
 from defplan_solvers.policy_files import load_policy, save_policy
 
 if TYPE_CHECKING:

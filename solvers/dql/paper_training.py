@@ -12,11 +12,12 @@ from scipy.optimize import linear_sum_assignment
 from torch import nn
 from torch.nn import functional
 
+from defplan_mj.base.progress import Progress
 from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes, training_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SUCCESS, SurrogateEnv, run_on_surrogate
-from defplan_mj.task import Navigation, Progress
+from defplan_mj.task import Navigation
 from defplan_solvers.dql.paper import PaperConfiguration
 
 WIDTHS = (8, 4, 4)  # of the CNN's filters

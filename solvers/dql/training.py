@@ -15,6 +15,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
+from defplan_mj.base.progress import Progress
 from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.scenes import (
     SceneBatch,
@@ -35,7 +36,7 @@ from defplan_mj.planning.surrogate_env import (
     Transition,
     run_on_surrogate,
 )
-from defplan_mj.task import Navigation, Progress
+from defplan_mj.task import Navigation
 from defplan_solvers.dql.dql import QNetwork
 
 

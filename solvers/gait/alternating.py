@@ -14,9 +14,9 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
-from defplan_mj.task import Progress, no_progress
 from defplan_solvers.gait.trajectories import Trajectories
 
 _IPOPT = {

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.planning.planner import Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.task import Navigation, Progress, no_progress
+from defplan_mj.task import Navigation
 from defplan_solvers.policy_files import load_policy, save_policy
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from defplan_mj.errors import DefplanError
+from defplan_mj.base.errors import DefplanError
 
 _HEADER = "header.json"
 MOST_BYTES = (
