@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -39,6 +40,7 @@ def walk_spec(
     mesh: str,
     vertices: int,
     shipped: tuple[Path, Path],
+    skin: Callable[[], np.ndarray],
     gait_solver: str,
     paper: dict,
 ) -> TaskSpec:
@@ -48,6 +50,7 @@ def walk_spec(
         mesh: file among the assets.
         vertices: wanted number of tetrahedral mesh vertices.
         shipped: files of its body and gaits.
+        skin: makes the picture it wears.
         gait_solver: the default one.
         paper: Tables I to III; hours are the paper's own.
     """
@@ -74,7 +77,10 @@ def walk_spec(
         weights=WEIGHTS,
         terrain=GROUND,
         shipped=shipped,
+        skin=skin,
         gait_solver=gait_solver,
+        planner="dql",
+        feedback="none",
         rivals=("cio", "cio-alternating"),  # what the paper walks by, all at once and by turns
         paper={
             "dof": 16,

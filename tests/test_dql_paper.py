@@ -9,8 +9,8 @@ import torch
 from torch.nn import functional
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.scenes import training_scenes
+from defplan_mj.planning.sensors.laser import beam_directions
 from defplan_mj.planning.surrogate_env import SurrogateEnv
 from defplan_mj.task import Navigation
 from defplan_solvers.dql import dql

@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from defplan_mj.dynamics.rigid import RigidDynamics
-from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.frames import attitude_frames, random_attitudes, random_directions
 from defplan_mj.planning.scenes import SceneBatch, novel_scenes, training_scenes
+from defplan_mj.planning.sensors.laser import beam_directions
 from defplan_mj.planning.surrogate_env import (
     COLLISION,
     RUNNING,

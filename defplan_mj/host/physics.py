@@ -10,14 +10,18 @@ import mujoco
 import numpy as np
 from dm_control.mujoco import engine, wrapper
 
-from defplan_mj.host import contact, laser
+from defplan_mj.base.space import OF_DIMENSION, Space, heading_frame
+from defplan_mj.host import contact
 from defplan_mj.host.ground import height_above
+from defplan_mj.host.laser import SceneView
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.plugin import load_plugin
-from defplan_mj.host.scene import ROBOT, TARGET, TERRAIN
+from defplan_mj.host.scene import ROBOT, TARGET, TERRAIN, text_of
 from defplan_mj.kernel.library import kernel
 from defplan_mj.kernel.pack import stepping_of
 from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.sensors.sensor import sensor_of
+from defplan_mj.task import Navigation
 
 load_plugin()  # on import, since a pickled Physics needs it before any of its code runs
 
@@ -48,8 +52,13 @@ class Physics(engine.Physics):
 
     @property
     def space(self) -> str:
-        """'planar' or 'spatial': where the robot navigates, and so what its laser sees."""
-        return laser.SPACE_OF[int(self._numeric("laser")[2])]
+        """'planar' or 'spatial': where the robot navigates."""
+        return self.place.name
+
+    @property
+    def place(self) -> Space:
+        """The space itself."""
+        return OF_DIMENSION[int(self._numeric("laser")[2])]
 
     @property
     def n_modes(self) -> int:
@@ -115,16 +124,18 @@ class Physics(engine.Physics):
 
     def yaw_frame(self) -> np.ndarray:
         """Return the (3, 3) rotation by the heading about the vertical."""
-        yaw = self.yaw()
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return heading_frame(self.orientation())
+
+    def planning_frame(self) -> np.ndarray:
+        """Return the (3, 3) rotation that planning turns with: by the heading, or the body's own."""
+        return self.place.frame(self.orientation())
 
     def frame(self) -> np.ndarray:
-        """Return the (3, d) axes, as columns in the world, that planning turns with: see `space`.
+        """Return its axes (3, d), as columns in the world, along which planning goes.
 
         In the plane the heading and what lies to its left (d = 2), in space the body's own axes (d = 3).
         """
-        return self.yaw_frame()[:, :2] if self.space == "planar" else self.orientation()
+        return self.planning_frame()[:, : self.place.dimension]
 
     @property
     def walks(self) -> bool:
@@ -163,17 +174,18 @@ class Physics(engine.Physics):
         return float(self._numeric("laser")[1])
 
     def laser(self) -> np.ndarray:
-        """Return the (beams,) laser distances, m; see `laser.scan`."""
-        beams, laser_range, _ = self._numeric("laser")
+        """Return what the robot's sensor measures (size,): the distances along a laser's beams, m."""
+        there = self._sensing()
         robot = self.model.name2id(ROBOT, "body")
-        return laser.scan(
-            self.model.ptr,
-            self.data.ptr,
-            self.com(),
-            self.frame(),
-            int(beams),
-            float(laser_range),
-            robot,
+        view = SceneView(self.model.ptr, self.data.ptr, self.com(), self.frame(), robot)
+        return sensor_of(there).measure(view, there)
+
+    def _sensing(self) -> Navigation:
+        """Return what the model says of the sensor."""
+        beams, laser_range, _ = self._numeric("laser").tolist()
+        sensor = text_of(self.model.ptr, "sensor")
+        return Navigation(
+            beams=int(beams), laser_range=laser_range, space=self.space, sensor=sensor
         )
 
     # ---- acting

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,14 +10,60 @@ from typing import Any
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.space import PLANE, SPACE
 from defplan_mj.log.poses import angle, predict, rotation_matrix, yaw
 from defplan_mj.log.reader import EpisodeLog, read_log
 
 SETTLING = 3
 """Cycles in which a body that starts at rest gets up to speed; the surrogate knows full speed only."""
 
-TURNING = {"planar": "heading", "spatial": "rotation"}
-"""What an error of attitude is in each space: of the heading, with a sign, or an angle about any axis."""
+
+def _heading_error(true: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """Return true minus predicted heading (m,) of rotations (m, 3, 3), in (-pi, pi], rad."""
+    return np.pi - (np.pi - (yaw(true) - yaw(told))) % (2 * np.pi)
+
+
+def _rotation_error(true: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """Return the angles (m,) between true and predicted rotations (m, 3, 3), rad."""
+    return angle(np.swapaxes(told, 1, 2) @ true)
+
+
+def _about_vertical(rotation: np.ndarray) -> np.ndarray:
+    """Return the rotations (m, 3, 3) by the headings of rotations (m, 3, 3)."""
+    heading = yaw(rotation)
+    frames = np.tile(np.eye(3), (len(heading), 1, 1))
+    frames[:, 0, 0] = frames[:, 1, 1] = np.cos(heading)
+    frames[:, 1, 0] = np.sin(heading)
+    frames[:, 0, 1] = -frames[:, 1, 0]
+    return frames
+
+
+def _as_it_is(rotation: np.ndarray) -> np.ndarray:
+    return rotation
+
+
+@dataclass(frozen=True)
+class Turning:
+    """What an error of attitude is in a space.
+
+    Attributes:
+        name: what it is called.
+        signed: whether left is positive, else it is a size.
+        error: true and predicted rotations (m, 3, 3) -> (m,) rad.
+        frame: rotations at the starts -> those of the frames that displacements are seen in.
+    """
+
+    name: str
+    signed: bool
+    error: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    frame: Callable[[np.ndarray], np.ndarray]
+
+
+TURNING = {
+    PLANE.name: Turning("heading", True, _heading_error, _about_vertical),
+    SPACE.name: Turning("rotation", False, _rotation_error, _as_it_is),
+}
+"""By the name of the space."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +142,7 @@ class Comparison:
     @property
     def turning_name(self) -> str:
         """What an error of attitude is called: 'heading' or 'rotation'."""
-        return TURNING[self.space]
+        return TURNING[self.space].name
 
     @property
     def position(self) -> np.ndarray:
@@ -143,7 +189,7 @@ class Comparison:
 
     def table(self) -> list[list[str]]:
         """Return rows of text, for `columns`."""
-        signed = self.space == "planar"
+        signed = TURNING[self.space].signed
         return [
             [
                 row["name"],
@@ -167,7 +213,7 @@ class Comparison:
                 str(len(episode.truth) - 1),
                 _text(episode.travelled),
                 _text(episode.drift),
-                _text(episode.turning_drift, self.space == "planar"),
+                _text(episode.turning_drift, TURNING[self.space].signed),
                 _text(episode.clearance) if np.isfinite(episode.clearance) else "-",
                 _text(episode.reward),
             ]
@@ -232,7 +278,7 @@ def compare_logs(paths: Iterable[str | Path | EpisodeLog]) -> Comparison:
     spaces = {log.space: log.path for log in logs}
     if len(spaces) > 1:
         raise DefplanError(
-            f"{spaces['planar']} is of a planar task, {spaces['spatial']} of a spatial one:"
+            f"{spaces[PLANE.name]} is of a planar task, {spaces[SPACE.name]} of a spatial one:"
             " compare them one after the other"
         )
     names = list(dict.fromkeys(name for log in logs for name in log.task_names))
@@ -281,9 +327,7 @@ def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
     start = log.states[log.cycle_steps[rows]][:, :7]
     end = log.states[log.cycle_steps[rows + 1]][:, :7]
     predicted = _predictions(log, rows)
-    frame = rotation_matrix(start[:, 3:])
-    if log.space == "planar":
-        frame = _about_vertical(yaw(frame))
+    frame = TURNING[log.space].frame(rotation_matrix(start[:, 3:]))
     return {
         "cycle": rows,
         "start": log.time[log.cycle_steps[rows]],
@@ -313,15 +357,6 @@ def _episode(log: EpisodeLog, rows: np.ndarray) -> Episode:
     )
 
 
-def _about_vertical(heading: np.ndarray) -> np.ndarray:
-    """Return the (m, 3, 3) rotations by headings (m,), rad."""
-    frames = np.tile(np.eye(3), (len(heading), 1, 1))
-    frames[:, 0, 0] = frames[:, 1, 1] = np.cos(heading)
-    frames[:, 1, 0] = np.sin(heading)
-    frames[:, 0, 1] = -frames[:, 1, 0]
-    return frames
-
-
 def _into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """Return world vectors (m, 3) as seen in frames (m, 3, 3)."""
     return np.einsum("nji,nj->ni", frames, vectors)
@@ -330,10 +365,7 @@ def _into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
 def _turning(truth: np.ndarray, predicted: np.ndarray, space: str) -> np.ndarray:
     """Return the errors of attitude (m,) of (m, 7) poses; see `Comparison.turning`."""
     true, told = rotation_matrix(truth[:, 3:7]), rotation_matrix(predicted[:, 3:7])
-    if space == "spatial":
-        return angle(np.swapaxes(told, 1, 2) @ true)
-    error = yaw(true) - yaw(told)
-    return np.pi - (np.pi - error) % (2 * np.pi)
+    return TURNING[space].error(true, told)
 
 
 def _figures(values: np.ndarray, sizes: np.ndarray) -> dict[str, float | None]:

@@ -79,6 +79,7 @@ class DqlSolver:
     name = "dql"
     summary = "deep Q-learning on the surrogate (stable-baselines3), many varied scenes at once"
     needs_training = True
+    default = True
 
     def train(
         self,

@@ -13,8 +13,8 @@ from torch import nn
 from torch.nn import functional
 
 from defplan_mj.base.progress import Progress
-from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes, training_scenes
+from defplan_mj.planning.sensors.laser import beam_directions, laser_of
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SUCCESS, SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
@@ -83,6 +83,7 @@ class PaperNetwork(nn.Module):
 
     def __init__(self, navigation: Navigation, gaits: int, hidden: tuple[int, ...]) -> None:
         super().__init__()
+        laser_of(navigation)  # it looks at beams
         self.beams, self.space = navigation.beams, navigation.space
         self.dimension, self.laser_range = navigation.dimension, navigation.laser_range
         self.hidden = hidden

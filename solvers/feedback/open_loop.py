@@ -17,6 +17,7 @@ class OpenLoopSolver:
     kind: ClassVar = "feedback"
     name: ClassVar = "none"
     summary: ClassVar = "no feedback: gaits are played in open loop"
+    default: ClassVar = True
 
     def prepare(self, dynamics: ReducedDynamics, gait: Gait, space: str = "planar") -> OpenLoop:
         """Return what plays the gait's table."""

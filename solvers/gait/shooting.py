@@ -65,6 +65,8 @@ class Shooting:
     bound: float = 4.0
     threads: int = 2
 
+    default = True
+
     def solve(
         self,
         problem: GaitProblem,

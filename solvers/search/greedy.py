@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from defplan_mj.planning.motion_tree import MotionTree
-from defplan_mj.planning.observation import laser_points
 from defplan_mj.planning.planner import Observation
+from defplan_mj.planning.sensors.sensor import seen_points
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.search.outlook import Outlook
@@ -31,7 +31,7 @@ class GreedyPlanner:
         """Return (K,) minus the cycles that are left after each gait, less 100 for a hit."""
         target = observation["target"][: self.navigation.dimension]
         values = -self.outlook.after_each(target)
-        points = laser_points(observation["laser"], self.navigation)
+        points = seen_points(observation["laser"], self.navigation)
         if len(points):
             _, _, way = self.tree.distances2(points)
             values = values - FAR * (way < self.radius**2).any(0)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from defplan_mj.planning.beams import beam_directions
-from defplan_mj.planning.observation import laser_points
+from defplan_mj.planning.sensors.laser import laser_of
+from defplan_mj.planning.sensors.sensor import seen_points
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.search.odometry import Odometry
@@ -28,7 +28,7 @@ class LaserMap:
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
         self.odometry = Odometry(surrogate, navigation)
         self.navigation, self.d = navigation, navigation.dimension
-        self.directions = beam_directions(navigation.beams, navigation.space)
+        self.directions = laser_of(navigation).directions(navigation.beams)
         self.reset()
 
     def reset(self) -> None:
@@ -42,7 +42,7 @@ class LaserMap:
 
     def update(self, laser: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Take a scan (beams,) and the target (d,); return all points known now (p, d), m."""
-        scan = laser_points(laser, self.navigation)
+        scan = seen_points(laser, self.navigation)
         motion = self.odometry.moved(target)
         if motion is not None:
             shift, turn = motion
