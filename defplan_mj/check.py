@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.check import placed_vertices
@@ -142,9 +142,9 @@ def _tell(row: dict[str, Any], kind: str, motion: Motion) -> None:
 def _motion(spec: TaskSpec, task: GaitTask, ends: np.ndarray) -> Motion:
     """Return the mean motion between states (cycles + 1, >= 7)."""
     planar = spec.navigation.space == "planar"
-    attitude = Rotation.from_quat(ends[:, 3:7], scalar_first=True)
+    attitude = rotations.rotation(ends[:, 3:7])
     yaw = heading(ends)
-    frame = Rotation.from_euler("z", yaw[:-1, None]) if planar else attitude[:-1]
+    frame = rotations.upright(yaw[:-1]) if planar else attitude[:-1]
     move = frame.inv().apply(np.diff(ends[:, :3], axis=0))
     if planar:
         move[:, 2] = 0.0
@@ -168,7 +168,7 @@ def _compare_full(
     n, r = gait.steps_per_cycle, body.n_modes
     fem = FullFem(body, gait.timestep, terrain=spec.terrain, integrator=gait.integrator)
     start = reduced[0]
-    turned = Rotation.from_quat(start[3:7], scalar_first=True).as_matrix()
+    turned = rotations.matrix(start[3:7])
     state = fem.at(start[7 : 7 + r], start[:3], turned, target=start[13 + 2 * r :])
     steps, shapes = n * (SETTLE + CYCLES), gait.table()[j]
     looked = {steps - n + (i + 1) * n // _POSES for i in range(_POSES)}
@@ -189,7 +189,7 @@ def _compare_full(
     _tell(row, "full", _motion(spec, _task(spec, row["name"]), np.array(ends)))
     row["shape_error"] = float(np.sqrt(np.sum(errors) / np.sum(sizes)))
     rotation, _ = _fit(share, placed_vertices(body, reduced[-1]), state.now)
-    row["attitude_rad"] = float(np.linalg.norm(Rotation.from_matrix(rotation).as_rotvec()))
+    row["attitude_rad"] = float(rotations.angle(rotation))
     if spec.terrain is not None:
         row["fell_full"] = bool(tilt(np.array(ends)).max() > np.radians(30.0))
 
@@ -202,14 +202,11 @@ def _pose(body: Body, state: FemState) -> np.ndarray:
     """Return the place and quaternion (7,) of the full body, as the reduced one's that fits it best."""
     share = body.vertex_mass / body.mass
     rotation, _ = _fit(share, body.vertices, state.now)
-    quaternion = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
-    return np.concatenate([share @ state.now, quaternion])
+    return np.concatenate([share @ state.now, rotations.quaternion(rotation)])
 
 
 def _fit(share: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rotation and move that bring vertices a (n, 3) closest to b (n, 3)."""
     centre_a, centre_b = share @ a, share @ b
-    u, _, vt = np.linalg.svd(((b - centre_b) * share[:, None]).T @ (a - centre_a))
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = u @ flip @ vt
+    rotation = rotations.kabsch(((b - centre_b) * share[:, None]).T @ (a - centre_a))
     return rotation, centre_b - rotation @ centre_a

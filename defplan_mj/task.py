@@ -14,6 +14,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.space import SPACES, Space
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.dynamics.terrain import Terrain
+from defplan_mj.dynamics.world import World
 
 
 @dataclass(frozen=True)
@@ -183,10 +184,13 @@ class TaskSpec:
     skin: Callable[[], np.ndarray] | None = None
     paper: dict = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        _ = self.world  # medium and terrain have to agree
+
     @property
-    def walks(self) -> bool:
-        """Whether there is ground under the robot, in the air; else it swims in the water."""
-        return self.terrain is not None
+    def world(self) -> World:
+        """What surrounds the robot."""
+        return World(self.body.medium, self.terrain)
 
     def texture(self) -> np.ndarray | None:
         """Return the picture of the skin, or None."""

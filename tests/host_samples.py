@@ -7,13 +7,13 @@ import functools
 
 import numpy as np
 
+from defplan_mj.base.rotations import level_attitude
 from defplan_mj.body.build import build_body
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
-from defplan_mj.planning.frames import level_attitude
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.task import TaskSpec
 from defplan_tasks import fish as fish_domain

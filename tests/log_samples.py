@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from defplan_mj.base import rotations
 from defplan_mj.body.model import Body, Material, Medium
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
-from defplan_mj.log.poses import predict, quaternion, rotation_matrix
 from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.planning.scenes import Scene
@@ -163,7 +164,7 @@ def surface_of(body: Body):
     def surface(x: np.ndarray) -> np.ndarray:
         q = x[7 : 7 + MODES]
         local = body.vertices + body.modes @ q
-        return x[:3] + local[body.surface] @ rotation_matrix(x[3:7]).T
+        return x[:3] + local[body.surface] @ rotations.matrix(x[3:7]).T
 
     return surface
 
@@ -220,10 +221,10 @@ def record_episode(
         for cycle in range(cycles):
             start, time = x, step * TIMESTEP
             gait_index = int(rng.integers(len(table)))
-            goal = predict(files.surrogate, start[:7], gait_index)
-            frame = rotation_matrix(goal[3:])
+            goal = RigidDynamics(files.surrogate).step(start[:7], gait_index)
+            frame = rotations.matrix(goal[3:])
             goal[:3] += frame @ [0, error[0], 0]
-            goal[3:] = quaternion(frame @ turn(error[1]))
+            goal[3:] = rotations.quaternion(frame @ turn(error[1]))
             for i in range(STEPS_PER_CYCLE):
                 step += 1
                 part = (i + 1) / STEPS_PER_CYCLE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from defplan_mj.planning.frames import level_attitude
+from defplan_mj.base.rotations import level_attitude
 from defplan_mj.planning.scenes import Scene, SceneBatch
 from defplan_mj.planning.surrogate import Surrogate
 

@@ -133,7 +133,7 @@ def test_manoeuvres_lead_where_their_gaits_lead_and_are_free_if_all_of_them_are(
             if cycle == last:  # two turns may end alike: the frame tells them apart
                 frames = [attitude_frames(one[None, 3:], d)[0] for one in after]
                 miss = [
-                    a + np.abs(f - steps.rotations[m]).max()
+                    a + np.abs(f - steps.motions.rotations[m]).max()
                     for a, f in zip(miss, frames, strict=True)
                 ]
             gaits.append(int(np.argmin(miss)))
@@ -142,7 +142,7 @@ def test_manoeuvres_lead_where_their_gaits_lead_and_are_free_if_all_of_them_are(
             clear &= bool(np.linalg.norm(ways[:, None] - points, axis=2).min() > 0.6)
             state = after[gaits[-1]]
         assert gaits[0] == steps.first[m]
-        assert np.allclose(state[:d], steps.translations[m], atol=1e-5)
+        assert np.allclose(state[:d], steps.motions.translations[m], atol=1e-5)
         assert clear == free[m]
     assert 0 < free.sum() < len(free)
 
@@ -151,8 +151,8 @@ def test_manoeuvres_of_a_robot_that_never_turns_in_place_are_its_gaits():
     motions = samples.surrogate().motions("planar")
     steps = Manoeuvres(motions, np.array([1.0, 0]))
     assert list(steps.first) == [0, 1, 2] and list(steps.cycles) == [1, 1, 1]
-    assert np.array_equal(steps.rotations, motions.rotations)
-    assert np.array_equal(steps.translations, motions.translations)
+    assert np.array_equal(steps.motions.rotations, motions.rotations)
+    assert np.array_equal(steps.motions.translations, motions.translations)
 
 
 def test_a_robot_that_walks_to_every_side_need_not_turn():

@@ -22,12 +22,13 @@ from kernel_cases import (
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.build import build_body
 from defplan_mj.body.model import Body, Medium
+from defplan_mj.body.rotation_strain import shape_coordinates
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.feet import Feet, lowest_feet
 from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Heightfield, Terrain, TerrainGeom, pack_terrain
-from defplan_mj.kernel.contact_points import contact_points, shape_coordinates
+from defplan_mj.kernel.contact_points import contact_points
 from defplan_mj.kernel.library import kernel
 from defplan_mj.task import BodyOptions
 from defplan_tasks.environments import ASSETS
@@ -419,8 +420,10 @@ def test_feet_are_where_their_vertices_are_and_move_as_their_jacobian_says(small
     dynamics = ReducedDynamics(small_walker, H).with_feet(feet)
     rng = np.random.default_rng(11)
     x = random_state(dynamics, rng)
-    at = small_walker.vertices + small_walker.basis @ shape_coordinates(
-        small_walker, x[7 : 7 + small_walker.n_modes]
+    at = (
+        small_walker.vertices
+        + small_walker.basis
+        @ shape_coordinates(small_walker, x[None, 7 : 7 + small_walker.n_modes])[0]
     )
     world = x[:3] + at @ matrix(x[3:7]).T
     wanted = [world[foot].mean(0) for foot in feet.vertices]

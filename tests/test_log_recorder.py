@@ -23,9 +23,10 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
+from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.log import channels, schemas
-from defplan_mj.log.poses import predict, rotation_matrix, yaw
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.run_files import RunFiles
@@ -116,7 +117,7 @@ def test_logged_surface_is_the_deformed_one_in_the_robots_frame(logged):
     assert step == 10 and entity.frame_id == "robot" and entity.frame_locked
     x = kept["states"][step]
     triangles = entity.triangles[0]
-    points = np.array([[p.x, p.y, p.z] for p in triangles.points]) @ rotation_matrix(x[3:7]).T
+    points = np.array([[p.x, p.y, p.z] for p in triangles.points]) @ rotations.matrix(x[3:7]).T
     np.testing.assert_allclose(points + x[:3], surface_of(body)(x), atol=2.0**-12)
     np.testing.assert_array_equal(np.reshape(triangles.indices, (-1, 3)), body.faces)
 
@@ -145,8 +146,8 @@ def test_laser_scan_points_where_the_body_heads(logged):
     scan = [m for topic, _, _, m in decoded if topic == "/laser"][3]
     x = kept["states"][3 * STEPS_PER_CYCLE]
     turn = scan.pose.orientation
-    heading = yaw(rotation_matrix(np.array([turn.w, turn.x, turn.y, turn.z])))
-    assert heading == pytest.approx(yaw(rotation_matrix(x[3:7])))
+    heading = rotations.heading(rotations.matrix(np.array([turn.w, turn.x, turn.y, turn.z])))
+    assert heading == pytest.approx(rotations.heading(rotations.matrix(x[3:7])))
     assert list(scan.ranges) == kept["laser"][3].tolist()
     # n beams once around: the last one is one beam short of a full turn
     assert scan.end_angle - scan.start_angle == pytest.approx(2 * np.pi * 63 / 64)
@@ -241,7 +242,7 @@ def test_surrogate_prediction_is_logged_at_the_end_of_its_cycle(logged):
     found = [(t, m.pose.position) for topic, _, t, m in decoded if topic == "/surrogate/com"]
     body = sample_body()
     start = kept["states"][2 * STEPS_PER_CYCLE]
-    pose = predict(sample_surrogate(body), start[:7], kept["gait_index"][2])
+    pose = RigidDynamics(sample_surrogate(body)).step(start[:7], kept["gait_index"][2])
     time, place = found[2]
     assert time == round(3 * STEPS_PER_CYCLE * TIMESTEP * 1e9)
     np.testing.assert_allclose([place.x, place.y, place.z], pose[:3], atol=1e-15)

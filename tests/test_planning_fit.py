@@ -7,10 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.rotations import kabsch
 from defplan_mj.body.rotation_strain import deformation
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
-from defplan_mj.planning.fit import fit_surrogate, kabsch, pair_moments
+from defplan_mj.planning.fit import fit_surrogate, pair_moments
 from defplan_mj.planning.surrogate import Surrogate
 
 

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial import SphericalVoronoi
 from scipy.spatial.transform import Rotation
 
+from defplan_mj.base.rotations import level_attitude
 from defplan_mj.planning.frames import (
     attitude_frames,
-    level_attitude,
     random_attitudes,
     random_directions,
     renewed,

@@ -18,6 +18,7 @@ from log_samples import (
 )
 
 from defplan_mj import registry
+from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Medium
 from defplan_mj.dynamics.reduced import ReducedDynamics
@@ -28,7 +29,6 @@ from defplan_mj.dynamics.terrain import (
     terrain_json,
     terrain_of,
 )
-from defplan_mj.log.poses import rotation_matrix
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.replay import replay_log, write_video
@@ -69,7 +69,7 @@ def test_a_spatial_log_replays_to_the_bit_laser_and_all(tmp_path):
     log = read_log(path)
     assert log.space == "spatial" and log.laser.min() < 8.0
     # it lies on its side from the start
-    assert abs(rotation_matrix(log.states[0, 3:7])[2, 2]) < 0.1
+    assert abs(rotations.matrix(log.states[0, 3:7])[2, 2]) < 0.1
     result = replay_log(log)
     assert result.identical, result.sentence()
     assert result.simulators == ("kernel", "mujoco") and result.largest == 0

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from defplan_mj.body.tetmesh import boundary
 from defplan_mj.log.plotting import view
 from defplan_mj.report.content import duration, mean_sd, number, percent
-from defplan_mj.report.drawing import boundary_faces, outlines
+from defplan_mj.report.drawing import outlines
 from defplan_mj.report.views import episode_views
 
 
@@ -54,7 +55,7 @@ def test_the_boundary_of_two_tetrahedra_has_six_outward_faces():
     for corners in tetrahedra:
         edges = points[corners[1:]] - points[corners[0]]
         assert np.linalg.det(edges) > 0
-    faces = boundary_faces(tetrahedra)
+    faces, _ = boundary(tetrahedra)
     assert len(faces) == 6
     mesh = trimesh.Trimesh(points, faces, process=False)
     assert mesh.is_watertight

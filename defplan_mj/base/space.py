@@ -7,17 +7,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from defplan_mj.base.rotations import heading, level_attitude, level_matrix, quaternion_heading
+
 
 def heading_frame(rotation: np.ndarray) -> np.ndarray:
-    """Return the (3, 3) rotation by the heading of a body's rotation (3, 3), about the vertical."""
-    yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    """Return the rotations (..., 3, 3) about the vertical by the headings of rotations (..., 3, 3)."""
+    return level_matrix(heading(rotation))
 
 
 def own_frame(rotation: np.ndarray) -> np.ndarray:
-    """Return a body's rotation (3, 3) as it is."""
+    """Return rotations (..., 3, 3) as they are."""
     return rotation
+
+
+def heading_attitude(attitude: np.ndarray) -> np.ndarray:
+    """Return the quaternion (4,) w x y z of the heading of a quaternion (4,)."""
+    return level_attitude(quaternion_heading(attitude))
+
+
+def own_attitude(attitude: np.ndarray) -> np.ndarray:
+    """Return a quaternion as it is."""
+    return attitude
 
 
 @dataclass(frozen=True)
@@ -27,7 +37,8 @@ class Space:
     Attributes:
         name: in tasks, logs and files.
         dimension: d, of positions and directions: the first d coordinates count.
-        frame: rotation of a body (3, 3) -> rotation (3, 3) of the frame that its planning turns with.
+        frame: rotations of bodies (..., 3, 3) -> those of the frames that their planning turns with.
+        attitude: the same of a quaternion (4,) w x y z.
         obstacle: the shape of obstacles.
         sensor: what a robot has if its task names no other, see `planning.sensors`.
     """
@@ -35,6 +46,7 @@ class Space:
     name: str
     dimension: int
     frame: Callable[[np.ndarray], np.ndarray]
+    attitude: Callable[[np.ndarray], np.ndarray]
     obstacle: str
     sensor: str
 
@@ -44,8 +56,10 @@ class Space:
         return self.dimension == 2
 
 
-PLANE = Space("planar", 2, heading_frame, obstacle="cylinder", sensor="planar-laser")
-SPACE = Space("spatial", 3, own_frame, obstacle="sphere", sensor="spherical-laser")
+PLANE = Space(
+    "planar", 2, heading_frame, heading_attitude, obstacle="cylinder", sensor="planar-laser"
+)
+SPACE = Space("spatial", 3, own_frame, own_attitude, obstacle="sphere", sensor="spherical-laser")
 
 SPACES = {space.name: space for space in (PLANE, SPACE)}
 """By name."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from defplan_mj.base import rotations
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.model import Body
 from defplan_mj.body.reduction import sample_shapes
-from defplan_mj.body.rotation_strain import RotationStrain, deformation, exponential
+from defplan_mj.body.rotation_strain import RotationStrain, shape_coordinates
 from defplan_mj.body.tetmesh import TetMesh, volumes
 
 _TIMESTEP, _DURATION = 0.02, 0.2  # of the released shape, s
@@ -16,19 +17,14 @@ _TIMESTEP, _DURATION = 0.02, 0.2  # of the released shape, s
 def reduced_vertices(body: Body, q: np.ndarray) -> np.ndarray:
     """Return the vertices (m, n, 3) of the shapes q (m, r) in the rest frame, m."""
     q = np.atleast_2d(q)
-    features = deformation(body.feature_map, q).reshape(len(q), -1)
-    z = features @ body.feature_weights.T
+    z = shape_coordinates(body, q)
     return body.vertices + np.einsum("nik,mk->mni", body.basis, z, optimize=True)
 
 
 def placed_vertices(body: Body, state: np.ndarray) -> np.ndarray:
     """Return the vertices (n, 3) in the world of a reduced state (kernel.h), m."""
-    w, x, y, z = state[3:7] / np.linalg.norm(state[3:7])
-    half = np.array([x, y, z])
-    sine = np.linalg.norm(half)
-    angle = 2.0 * np.arctan2(sine, w)
-    rotation = exponential(half * (angle / sine if sine > 1e-12 else 2.0))
-    return state[:3] + reduced_vertices(body, state[7 : 7 + body.n_modes])[0] @ rotation.T
+    turned = rotations.matrix(state[3:7])
+    return state[:3] + reduced_vertices(body, state[7 : 7 + body.n_modes])[0] @ turned.T
 
 
 def reconstruction_error(body: Body, samples: int = 200, seed: int = 0) -> dict[str, float]:

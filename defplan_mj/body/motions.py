@@ -15,7 +15,7 @@ import numpy as np
 
 from defplan_mj.body.drag import DragPoints, Moments, forces
 from defplan_mj.body.model import Body
-from defplan_mj.body.rotation_strain import deformation, exponential
+from defplan_mj.body.rotation_strain import affine_coordinates, exponential
 
 _STEPS, _CYCLES = 24, 3  # of the integration a cycle; until the last one, which is used
 _DIFFERENCE = 1e-5  # of q, for derivatives
@@ -67,12 +67,6 @@ def random_rhythm(body: Body, count: int, rng: np.random.Generator) -> Rhythm:
     )
 
 
-def coordinates(body: Body, q: np.ndarray) -> np.ndarray:
-    """Return (1, z(q)) (m, k+1) of shapes q (m, r)."""
-    z = deformation(body.feature_map, q).reshape(len(q), -1) @ body.feature_weights.T
-    return np.hstack([np.ones((len(q), 1)), z])
-
-
 def moments_of(
     body: Body,
     q: np.ndarray,
@@ -84,10 +78,10 @@ def moments_of(
     """Return what a body does at m moments; shapes and rates (m, r), the rest as in `Moments`."""
     r, step = body.n_modes, _DIFFERENCE * np.eye(body.n_modes)
     both = np.concatenate([q[:, None] + step, q[:, None] - step], axis=1).reshape(-1, r)
-    zeta = coordinates(body, both).reshape(len(q), 2, r, -1)
+    zeta = affine_coordinates(body, both).reshape(len(q), 2, r, -1)
     slopes = ((zeta[:, 0] - zeta[:, 1]) / (2.0 * _DIFFERENCE)).transpose(0, 2, 1)
     zeta_dot = np.einsum("mkr,mr->mk", slopes, q_dot)
-    return Moments(coordinates(body, q), zeta_dot, slopes[:, 1:], velocity, spin, attitude)
+    return Moments(affine_coordinates(body, q), zeta_dot, slopes[:, 1:], velocity, spin, attitude)
 
 
 def _moving(
@@ -96,10 +90,12 @@ def _moving(
     """Return the same without dz/dq, which the rigid motion does not need, at no spin."""
     q, q_dot = shape
     ahead, behind = q + _DIFFERENCE * q_dot, q - _DIFFERENCE * q_dot
-    zeta_dot = (coordinates(body, ahead) - coordinates(body, behind)) / (2.0 * _DIFFERENCE)
+    zeta_dot = (affine_coordinates(body, ahead) - affine_coordinates(body, behind)) / (
+        2.0 * _DIFFERENCE
+    )
     none = np.zeros((len(q), body.n_basis, 0))
     return Moments(
-        coordinates(body, q), zeta_dot, none, velocity, np.zeros_like(velocity), attitude
+        affine_coordinates(body, q), zeta_dot, none, velocity, np.zeros_like(velocity), attitude
     )
 
 

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
 from defplan_mj.body.elasticity import SYMMETRIC
+from defplan_mj.body.model import Body
 from defplan_mj.body.tetmesh import TetMesh, shape_gradients, volumes
 
 STRAIN = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -69,6 +70,17 @@ def deformation(features: np.ndarray, q: np.ndarray) -> np.ndarray:
     values = np.einsum("tfr,mr->mtf", features, q, optimize=True)
     rotation = exponential(values[..., :3])
     return rotation @ (np.eye(3) + strain_matrices(values[..., 3:])) - np.eye(3)
+
+
+def shape_coordinates(body: Body, q: np.ndarray) -> np.ndarray:
+    """Return z(q) (m, k) of shapes q (m, r): the displacement of a shape is basis z (docs/kernel.md)."""
+    gradients = deformation(body.feature_map, q).reshape(len(q), -1)
+    return gradients @ body.feature_weights.T
+
+
+def affine_coordinates(body: Body, q: np.ndarray) -> np.ndarray:
+    """Return zeta = (1, z(q)) (m, k + 1) of shapes q (m, r), which `Body.moments` and fields take."""
+    return np.hstack([np.ones((len(q), 1)), shape_coordinates(body, q)])
 
 
 class RotationStrain:

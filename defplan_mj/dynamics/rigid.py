@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ class RigidDynamics:
 
     def __init__(self, surrogate: Surrogate) -> None:
         self.surrogate = surrogate
-        self._rotations = Rotation.from_matrix(surrogate.rotations)
+        self._turns = rotations.of_matrix(surrogate.rotations)
 
     @property
     def timestep(self) -> float:
@@ -44,10 +44,10 @@ class RigidDynamics:
         if not 0 <= gait < len(self.surrogate.task_names):
             names = ", ".join(self.surrogate.task_names)
             raise DefplanError(f"there is no gait {gait}; the surrogate has {names}")
-        attitude = Rotation.from_quat(x[3:7], scalar_first=True)
+        attitude = rotations.rotation(x[3:7])
         centre = x[:3] + attitude.apply(self.surrogate.translations[gait])
-        turned = attitude * self._rotations[gait]
-        return np.concatenate([centre, turned.as_quat(canonical=True, scalar_first=True)])
+        turned = attitude * self._turns[gait]
+        return np.concatenate([centre, rotations.wxyz(turned, positive=True)])
 
     def rollout(self, x0: np.ndarray, gaits: np.ndarray) -> np.ndarray:
         """Return the states (N + 1, 7) from `x0` under the gaits (N,)."""

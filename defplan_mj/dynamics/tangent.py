@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from defplan_mj.base import rotations
+
 _COLUMNS = np.array([1, 2, 3, 0, 3, 2, 3, 0, 1, 2, 1, 0])  # entries of w x y z
 _SIGNS = np.array([-1.0, -1, -1, 1, -1, 1, 1, 1, -1, -1, 1, 1])
 _CROSS = np.array([[0.0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0],
@@ -21,7 +23,7 @@ def size(nx: int) -> int:
     return nx - 1
 
 
-def rotations(quaternion: np.ndarray) -> np.ndarray:
+def attitude_tangent(quaternion: np.ndarray) -> np.ndarray:
     """Return (..., 4, 3): columns q (0, e_i), orthonormal; with q itself they span all quaternions."""
     return (quaternion[..., _COLUMNS] * _SIGNS).reshape(*quaternion.shape[:-1], 4, 3)
 
@@ -47,7 +49,7 @@ def retract(x: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Return the state (nx,) after the change `z`; the inverse of `difference`, for |rotation| < 2."""
     half = 0.5 * z[3:6]
     cosine = np.sqrt(max(0.0, 1 - float(half @ half)))
-    quaternion = rotations(x[3:7]) @ half + cosine * x[3:7]
+    quaternion = attitude_tangent(x[3:7]) @ half + cosine * x[3:7]
     return np.concatenate([x[:3] + z[:3], quaternion / np.linalg.norm(quaternion), x[7:] + z[6:]])
 
 
@@ -55,7 +57,7 @@ def step_jacobian(
     x: np.ndarray, x_next: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a step's Jacobians (n_z, n_z), (n_z, r) in tangent coordinates of those of the states."""
-    into, out = 0.5 * rotations(x[3:7]), 2 * rotations(x_next[3:7]).T
+    into, out = 0.5 * attitude_tangent(x[3:7]), 2 * attitude_tangent(x_next[3:7]).T
     columns = np.concatenate([a[:, :3], a[:, 3:7] @ into, a[:, 7:]], axis=1)
     return _rows(columns, out), _rows(b, out)
 
@@ -67,7 +69,7 @@ def _rows(matrix: np.ndarray, out: np.ndarray) -> np.ndarray:
 def _turn(x: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return 2 sin(angle / 2) axis (..., 3) and cos(angle / 2), not negative, of the turn to x."""
     q = x[..., 3:7]
-    vector = (rotations(origin[..., 3:7]) * q[..., :, None]).sum(-2)
+    vector = (attitude_tangent(origin[..., 3:7]) * q[..., :, None]).sum(-2)
     cosine = (origin[..., 3:7] * q).sum(-1)
     sign = np.where(cosine < 0, -1.0, 1.0)
     return 2 * sign[..., None] * vector, sign * cosine
@@ -93,10 +95,8 @@ class Frame:
             level: turned by the heading only; else as the body.
             depth: at the body's height; else at height 0.
         """
-        w, a, b, c = x[3:7]
         if level:
-            yaw = np.arctan2(2 * (a * b + w * c), 1 - 2 * (b * b + c * c))
-            quaternion = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+            quaternion = rotations.level_attitude(rotations.quaternion_heading(x[3:7]))
         else:
             quaternion = x[3:7] / np.linalg.norm(x[3:7])
         return cls(np.array([x[0], x[1], x[2] if depth else 0.0]), quaternion)
@@ -104,16 +104,13 @@ class Frame:
     @property
     def matrix(self) -> np.ndarray:
         """(3, 3) rotation: columns are the frame's axes in the world."""
-        w, vector = self.quaternion[0], self.quaternion[1:]
-        x, y, z = vector
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        return (w * w - vector @ vector) * np.eye(3) + 2 * np.outer(vector, vector) + 2 * w * cross
+        return rotations.matrix(self.quaternion)
 
     def inside(self, x: np.ndarray) -> np.ndarray:
         """Return the state (nx,) as told from this frame."""
-        inverse = self.quaternion * [1.0, -1.0, -1.0, -1.0]
+        back = rotations.inverse(self.quaternion)
         y, matrix = x.copy(), self.matrix
-        y[:3], y[3:7] = (x[:3] - self.position) @ matrix, _product(inverse, x[3:7])
+        y[:3], y[3:7] = (x[:3] - self.position) @ matrix, rotations.product(back, x[3:7])
         v = slice((len(x) - 13) // 3 + 7, (len(x) - 13) // 3 + 10)
         y[v] = x[v] @ matrix
         return y
@@ -121,7 +118,7 @@ class Frame:
     def outside(self, y: np.ndarray) -> np.ndarray:
         """Return the state (nx,) in the world of one told from this frame: undoes `inside`."""
         x, matrix = y.copy(), self.matrix
-        x[:3], x[3:7] = self.position + matrix @ y[:3], _product(self.quaternion, y[3:7])
+        x[:3], x[3:7] = self.position + matrix @ y[:3], rotations.product(self.quaternion, y[3:7])
         v = slice((len(x) - 13) // 3 + 7, (len(x) - 13) // 3 + 10)
         x[v] = matrix @ y[v]
         return x
@@ -130,11 +127,5 @@ class Frame:
         """Return `other`, which is told from this frame, in the world."""
         return Frame(
             self.position + self.matrix @ other.position,
-            _product(self.quaternion, other.quaternion),
+            rotations.product(self.quaternion, other.quaternion),
         )
-
-
-def _product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return the quaternion product p q."""
-    return np.concatenate([[p[0] * q[0] - p[1:] @ q[1:]],
-                           p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])])  # fmt: skip

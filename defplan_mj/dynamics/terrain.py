@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 
@@ -166,28 +167,15 @@ def _pack_geom(geom: TerrainGeom) -> np.ndarray:
         )
     _numbers(f"{geom.shape}'s position", geom.position, 3)
     _numbers(f"{geom.shape}'s quaternion", geom.quaternion, 4)
+    if not any(geom.quaternion):
+        raise DefplanError("a geom of the terrain has a quaternion of zeros")
+    turned = rotations.matrix(np.array(geom.quaternion))
     size = np.zeros(3)
     size[:count] = geom.size[:count]
-    return np.concatenate([[TYPES[geom.shape]], size, geom.position, _matrix(geom.quaternion)])
+    return np.concatenate([[TYPES[geom.shape]], size, geom.position, turned.ravel()])
 
 
 def _numbers(what: str, values: tuple[float, ...], count: int) -> None:
     """Raise a DefplanError unless `values` are `count` finite numbers."""
     if len(values) != count or not np.isfinite(np.asarray(values, float)).all():
         raise DefplanError(f"the terrain's {what} is {values}: {count} finite numbers are wanted")
-
-
-def _matrix(quaternion: tuple[float, float, float, float]) -> np.ndarray:
-    """Return the rotation matrix (9,), row-major."""
-    q = np.asarray(quaternion, float)
-    norm = np.linalg.norm(q)
-    if not norm > 0.0:
-        raise DefplanError("a geom of the terrain has a quaternion of zeros")
-    w, x, y, z = q / norm
-    return np.array(
-        [
-            *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        ]
-    )

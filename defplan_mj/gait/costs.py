@@ -5,6 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from defplan_mj.dynamics.symbolic import conjugate, quaternion_matrix, quaternion_product
+from defplan_mj.gait import residuals
 from defplan_mj.task import Weights
 
 
@@ -21,24 +23,16 @@ def planar(
         x: (nx, n) states of the cycle.
         turn, direction, advance: what is wanted, as in `GaitProblem.wanted`.
     """
-    forward, end = _forward(start), _forward(x[:, -1])
-    yaw = ca.atan2(
-        forward[0] * end[1] - forward[1] * end[0], forward[0] * end[0] + forward[1] * end[1]
-    )
-    move = x[:3, -1] - start[:3]
-    ahead = forward[:2] / ca.sqrt(ca.sumsqr(forward[:2]) + 1e-12)
-    left = ca.vertcat(-ahead[1], ahead[0])
-    moved = ca.vertcat(ca.dot(ahead, move[:2]), ca.dot(left, move[:2]))
-    # squared tilt 2 (1 - R_zz), to second order
-    tilts = [4 * ca.sumsqr(x[4:6, i]) for i in range(x.shape[1])]
-    tilt = sum(tilts) / len(tilts)
-    lean = sum(ca.fmax(0, t - np.radians(15) ** 2) ** 2 for t in tilts) / len(tilts)
+    end = residuals.planar(start, x[:, -1], turn, direction, advance)
+    states = [x[:, i] for i in range(x.shape[1])]
+    tilt = sum(ca.sumsqr(residuals.tilt(state)) for state in states) / len(states)
+    lean = sum(residuals.lean(state) ** 2 for state in states) / len(states)
     return (
-        weights.turn * (yaw - turn[2]) ** 2
-        + _move(weights, moved, direction[:2], advance)
+        weights.turn * end.turn**2
+        + _move(weights, end.shortfall, end.drift)
         + weights.tilt * tilt
         + weights.upright * lean
-        + weights.sink * move[2] ** 2
+        + weights.sink * end.rise**2
     )
 
 
@@ -60,47 +54,16 @@ def spatial(
     """
     angle = ca.sqrt(ca.sumsqr(turn) + 1e-30)
     target = ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) / angle * turn)
-    made = quaternion_product(_conjugate(start[3:7]), x[3:7, -1])
-    error = quaternion_product(_conjugate(target), made)[1:4]
+    made = quaternion_product(conjugate(start[3:7]), x[3:7, -1])
+    error = quaternion_product(conjugate(target), made)[1:4]
     roll = ca.dot(error, axis)
     moved = quaternion_matrix(start[3:7]).T @ (x[:3, -1] - start[:3])
     return (
         weights.turn * 4 * (ca.sumsqr(error) - roll**2)
         + weights.roll * 4 * roll**2
-        + _move(weights, moved, direction, advance)
+        + _move(weights, *residuals.displacement(moved, direction, advance))
     )
 
 
-def _move(weights: Weights, moved: ca.SX, direction: ca.SX, advance: ca.SX) -> ca.SX:
-    along = ca.dot(direction, moved)
-    drift = ca.sumsqr(moved - along * direction)
-    shortfall = ca.fmax(0, advance - along)
-    return weights.move * shortfall**2 + weights.drift * drift
-
-
-def _forward(x: ca.SX) -> ca.SX:
-    """The body's x axis in the world, from the state's quaternion."""
-    w, a, b, c = (x[3 + i] for i in range(4))
-    return ca.vertcat(1 - 2 * (b * b + c * c), 2 * (a * b + w * c), 2 * (a * c - w * b))
-
-
-def quaternion_product(a: ca.SX, b: ca.SX) -> ca.SX:
-    """Return the product of quaternions (w x y z), symbolic."""
-    return ca.vertcat(
-        a[0] * b[0] - ca.dot(a[1:4], b[1:4]),
-        a[0] * b[1:4] + b[0] * a[1:4] + ca.cross(a[1:4], b[1:4]),
-    )
-
-
-def _conjugate(q: ca.SX) -> ca.SX:
-    return ca.vertcat(q[0], -q[1:4])
-
-
-def quaternion_matrix(q: ca.SX) -> ca.SX:
-    """Return the rotation matrix (3, 3) of a unit quaternion (w x y z), symbolic."""
-    w, a, b, c = (q[i] for i in range(4))
-    return ca.vertcat(
-        ca.horzcat(1 - 2 * (b * b + c * c), 2 * (a * b - w * c), 2 * (a * c + w * b)),
-        ca.horzcat(2 * (a * b + w * c), 1 - 2 * (a * a + c * c), 2 * (b * c - w * a)),
-        ca.horzcat(2 * (a * c - w * b), 2 * (b * c + w * a), 1 - 2 * (a * a + b * b)),
-    )
+def _move(weights: Weights, shortfall: ca.SX, drift: ca.SX) -> ca.SX:
+    return weights.move * shortfall**2 + weights.drift * ca.sumsqr(drift)

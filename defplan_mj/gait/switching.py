@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from defplan_mj.base import rotations
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.footing import footing
 from defplan_mj.gait.gait import Gait
@@ -138,8 +138,7 @@ class Switching:
 
 def heading(x: np.ndarray) -> np.ndarray:
     """Return the yaw (...,) of states or qpos (..., >= 7): direction of the body's x axis, rad."""
-    w, a, b, c = np.moveaxis(np.asarray(x)[..., 3:7], -1, 0)
-    return np.arctan2(2 * (a * b + w * c), 1 - 2 * (b * b + c * c))
+    return rotations.quaternion_heading(np.asarray(x)[..., 3:7])
 
 
 def tilt(x: np.ndarray) -> np.ndarray:
@@ -172,12 +171,12 @@ def measure_cycles(problem: GaitProblem, gait: Gait, task: np.ndarray) -> Switch
     turn, tilts = np.zeros((len(task), 3)), np.zeros(len(task))
     if problem.space == "planar":
         yaw = heading(start)
-        frame = Rotation.from_euler("z", yaw[:, None])
+        frame = rotations.upright(yaw)
         turn[:, 2] = wrap(heading(end) - yaw)
         tilts = tilt(x[:, 1:]).max(1)
     else:
-        frame = _attitude(start)
-        turn = (frame.inv() * _attitude(end)).as_rotvec()
+        frame = rotations.rotation(start[:, 3:7])
+        turn = (frame.inv() * rotations.rotation(end[:, 3:7])).as_rotvec()
     return Switching(
         tasks=problem.tasks,
         space=problem.space,
@@ -220,7 +219,3 @@ def since_rest(down: np.ndarray) -> np.ndarray:
     for start in np.flatnonzero(down) + 1:
         since[start:] = np.arange(len(down) - start)
     return since
-
-
-def _attitude(x: np.ndarray) -> Rotation:
-    return Rotation.from_quat(x[:, 3:7], scalar_first=True)

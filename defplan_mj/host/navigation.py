@@ -11,6 +11,7 @@ from dm_control.rl import control
 from dm_control.suite import base
 from dm_env import specs
 
+from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.space import PLANE, SPACE, SPACES
 from defplan_mj.body.model import Body
@@ -230,10 +231,7 @@ def reduced_observation(
 
 def _tilt(physics: Physics) -> np.ndarray:
     """Return the orientation without yaw as a quaternion (4,) w x y z, w not negative."""
-    yaw = physics.yaw()
-    cos, sin = np.cos(-yaw / 2), np.sin(-yaw / 2)
-    w, x, y, z = physics.data.qpos[3:7]
-    tilt = np.array([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w])
+    tilt = rotations.product(rotations.level_attitude(-physics.yaw()), physics.data.qpos[3:7])
     return tilt if tilt[0] >= 0 else -tilt
 
 

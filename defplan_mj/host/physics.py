@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 from dm_control.mujoco import engine, wrapper
 
-from defplan_mj.base.space import OF_DIMENSION, Space, heading_frame
+from defplan_mj.base import rotations
+from defplan_mj.base.space import OF_DIMENSION, Space
 from defplan_mj.host import contact
 from defplan_mj.host.ground import height_above
 from defplan_mj.host.laser import SceneView
@@ -119,12 +120,11 @@ class Physics(engine.Physics):
 
     def yaw(self) -> float:
         """Return the heading, rad, in (-pi, pi]."""
-        rotation = self.orientation()
-        return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+        return float(rotations.heading(self.orientation()))
 
     def yaw_frame(self) -> np.ndarray:
         """Return the (3, 3) rotation by the heading about the vertical."""
-        return heading_frame(self.orientation())
+        return rotations.level_matrix(self.yaw())
 
     def planning_frame(self) -> np.ndarray:
         """Return the (3, 3) rotation that planning turns with: by the heading, or the body's own."""

@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from defplan_mj.body.model import Body
+from defplan_mj.body.rotation_strain import shape_coordinates
 from defplan_mj.body.sphere import sphere_directions
 
 COUNT = 192  # at most
@@ -31,7 +32,7 @@ def contact_points(body: Body) -> np.ndarray:
     shapes = np.tile(surface, (_SHAPES, 1, 1))
     for shape in shapes[1:]:
         q = generator.uniform(-1.0, 1.0, body.n_modes) * generator.uniform() * body.amplitude
-        shape += basis @ shape_coordinates(body, q)
+        shape += basis @ shape_coordinates(body, q[None])[0]
     directions = sphere_directions(_DIRECTIONS)
     heights = [shape @ directions.T for shape in shapes]
     extreme = np.array([height.argmax(0) for height in heights])  # (shapes, directions)
@@ -49,17 +50,3 @@ def contact_points(body: Body) -> np.ndarray:
         chosen.append(int(np.argmax(nearest)))
         nearest = np.minimum(nearest, ((surface - surface[chosen[-1]]) ** 2).sum(1))
     return np.sort(np.array(chosen))
-
-
-def shape_coordinates(body: Body, q: np.ndarray) -> np.ndarray:
-    """Return z(q) (k,): the displacement of shape q is basis z (docs/kernel.md)."""
-    x = body.feature_map @ q
-    angle = np.linalg.norm(x[:, :3], axis=1)
-    w = np.zeros((len(x), 3, 3))
-    w[:, 2, 1], w[:, 0, 2], w[:, 1, 0] = x[:, 0], x[:, 1], x[:, 2]
-    w -= w.transpose(0, 2, 1)
-    a, b = np.sinc(angle / np.pi), 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-    rotation = np.eye(3) + a[:, None, None] * w + b[:, None, None] * (w @ w)
-    strain = x[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
-    features = rotation @ (np.eye(3) + strain) - np.eye(3)
-    return body.feature_weights @ features.ravel()

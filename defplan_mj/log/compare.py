@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.base.space import PLANE, SPACE
-from defplan_mj.log.poses import angle, predict, rotation_matrix, yaw
+from defplan_mj.base.space import PLANE, SPACE, SPACES
+from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.log.reader import EpisodeLog, read_log
 
 SETTLING = 3
@@ -20,26 +21,12 @@ SETTLING = 3
 
 def _heading_error(true: np.ndarray, told: np.ndarray) -> np.ndarray:
     """Return true minus predicted heading (m,) of rotations (m, 3, 3), in (-pi, pi], rad."""
-    return np.pi - (np.pi - (yaw(true) - yaw(told))) % (2 * np.pi)
+    return np.pi - (np.pi - (rotations.heading(true) - rotations.heading(told))) % (2 * np.pi)
 
 
 def _rotation_error(true: np.ndarray, told: np.ndarray) -> np.ndarray:
     """Return the angles (m,) between true and predicted rotations (m, 3, 3), rad."""
-    return angle(np.swapaxes(told, 1, 2) @ true)
-
-
-def _about_vertical(rotation: np.ndarray) -> np.ndarray:
-    """Return the rotations (m, 3, 3) by the headings of rotations (m, 3, 3)."""
-    heading = yaw(rotation)
-    frames = np.tile(np.eye(3), (len(heading), 1, 1))
-    frames[:, 0, 0] = frames[:, 1, 1] = np.cos(heading)
-    frames[:, 1, 0] = np.sin(heading)
-    frames[:, 0, 1] = -frames[:, 1, 0]
-    return frames
-
-
-def _as_it_is(rotation: np.ndarray) -> np.ndarray:
-    return rotation
+    return rotations.angle(np.swapaxes(told, 1, 2) @ true)
 
 
 @dataclass(frozen=True)
@@ -50,18 +37,16 @@ class Turning:
         name: what it is called.
         signed: whether left is positive, else it is a size.
         error: true and predicted rotations (m, 3, 3) -> (m,) rad.
-        frame: rotations at the starts -> those of the frames that displacements are seen in.
     """
 
     name: str
     signed: bool
     error: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    frame: Callable[[np.ndarray], np.ndarray]
 
 
 TURNING = {
-    PLANE.name: Turning("heading", True, _heading_error, _about_vertical),
-    SPACE.name: Turning("rotation", False, _rotation_error, _as_it_is),
+    PLANE.name: Turning("heading", True, _heading_error),
+    SPACE.name: Turning("rotation", False, _rotation_error),
 }
 """By the name of the space."""
 
@@ -315,10 +300,10 @@ def _cycles(log: EpisodeLog) -> np.ndarray:
 
 def _predictions(log: EpisodeLog, rows: np.ndarray) -> np.ndarray:
     """Return the (m, 7) logged predictions; those that were not logged are made of the attachment."""
-    poses = log.surrogate_pose[rows].copy()
+    poses, surrogate = log.surrogate_pose[rows].copy(), RigidDynamics(log.surrogate)
     for i in np.flatnonzero(~np.isfinite(poses).all(1)):
         start = log.states[log.cycle_steps[rows[i]]]
-        poses[i] = predict(log.surrogate, start[:7], int(log.gait_index[rows[i]]))
+        poses[i] = surrogate.step(start, int(log.gait_index[rows[i]]))
     return poses
 
 
@@ -327,7 +312,7 @@ def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
     start = log.states[log.cycle_steps[rows]][:, :7]
     end = log.states[log.cycle_steps[rows + 1]][:, :7]
     predicted = _predictions(log, rows)
-    frame = TURNING[log.space].frame(rotation_matrix(start[:, 3:]))
+    frame = SPACES[log.space].frame(rotations.matrix(start[:, 3:]))
     return {
         "cycle": rows,
         "start": log.time[log.cycle_steps[rows]],
@@ -341,9 +326,6 @@ def _episode(log: EpisodeLog, rows: np.ndarray) -> Episode:
     """Return one log's own figures; the surrogate is chained over its leading whole cycles."""
     leading = rows[rows == np.arange(len(rows))]
     truth = log.states[log.cycle_steps[: len(leading) + 1]][:, :7]
-    chained = [truth[0]]
-    for j in log.gait_index[leading]:
-        chained.append(predict(log.surrogate, chained[-1], int(j)))
     return Episode(
         path=log.path,
         fault=log.fault,
@@ -352,7 +334,7 @@ def _episode(log: EpisodeLog, rows: np.ndarray) -> Episode:
         clearance=float(log.clearance.min()) if len(log.clearance) else float("nan"),
         collisions=int((log.clearance < 0).sum()),
         truth=truth,
-        chained=np.array(chained),
+        chained=RigidDynamics(log.surrogate).rollout(truth[0], log.gait_index[leading]),
         space=log.space,
     )
 
@@ -364,7 +346,7 @@ def _into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
 
 def _turning(truth: np.ndarray, predicted: np.ndarray, space: str) -> np.ndarray:
     """Return the errors of attitude (m,) of (m, 7) poses; see `Comparison.turning`."""
-    true, told = rotation_matrix(truth[:, 3:7]), rotation_matrix(predicted[:, 3:7])
+    true, told = rotations.matrix(truth[:, 3:7]), rotations.matrix(predicted[:, 3:7])
     return TURNING[space].error(true, told)
 
 

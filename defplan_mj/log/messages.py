@@ -16,9 +16,9 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from defplan_mj.base.space import PLANE
+from defplan_mj.base import rotations
+from defplan_mj.base.space import OF_DIMENSION, PLANE
 from defplan_mj.log import channels
-from defplan_mj.log.poses import quaternion, rotation_matrix, yaw
 from defplan_mj.log.schemas import WORLD_FRAME
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.sensors.laser import Laser
@@ -65,8 +65,8 @@ def laser_scan(x: np.ndarray, ranges: Sequence[float] | np.ndarray, nanoseconds:
     heads (its x axis, projected).
     """
     ranges = np.asarray(ranges, float)
-    heading = float(yaw(rotation_matrix(x[3:7])))
-    turn = Quaternion(w=np.cos(heading / 2), z=np.sin(heading / 2))
+    w, _, _, z = rotations.level_attitude(rotations.quaternion_heading(x[3:7]))
+    turn = Quaternion(w=w, z=z)
     return LaserScan(
         timestamp=_timestamp(nanoseconds),
         frame_id=WORLD_FRAME,
@@ -99,16 +99,10 @@ def sensed_points(
     """
     d = points.shape[1]
     columns = np.pad(points, ((0, 0), (0, 3 - d))).T
-    attitude = x[3:7] if d == 3 else _heading(x)
+    attitude = OF_DIMENSION[d].attitude(x[3:7])
     pose = np.concatenate([x[:3], attitude])
     named = {**dict(zip("xyz", columns, strict=True)), "distance": distance}
     return _point_cloud(named, nanoseconds, pose)
-
-
-def _heading(x: np.ndarray) -> np.ndarray:
-    """Return the quaternion w x y z of the heading at state x."""
-    half = float(yaw(rotation_matrix(x[3:7]))) / 2
-    return np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
 
 
 def contact_forces(points: np.ndarray, forces: np.ndarray, nanoseconds: int) -> bytes:
@@ -171,7 +165,7 @@ def _towards(direction: np.ndarray) -> np.ndarray:
     spare = np.eye(3)[np.argmin(np.abs(direction))]
     up = np.cross(direction, spare)
     up /= np.linalg.norm(up)
-    return quaternion(np.column_stack([direction, np.cross(up, direction), up]))
+    return rotations.quaternion(np.column_stack([direction, np.cross(up, direction), up]))
 
 
 def _timestamp(nanoseconds: int) -> Timestamp:

@@ -17,7 +17,9 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
 import defplan_mj
+from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.log import channels, schemas, wire
 from defplan_mj.log.channels import Cycle, Names, Step
 from defplan_mj.log.messages import (
@@ -26,7 +28,6 @@ from defplan_mj.log.messages import (
     reading_message,
     scene_update,
 )
-from defplan_mj.log.poses import predict, rotation_matrix
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.task import Navigation
@@ -231,7 +232,7 @@ class Recorder:
         for channel, numbers in self._at_end:
             self._numbers(channel.topic, end, stamp, numbers(done))
         if surrogate_pose is None and self._files.surrogate is not None:
-            surrogate_pose = predict(self._files.surrogate, x[:7], gait_index)
+            surrogate_pose = RigidDynamics(self._files.surrogate).step(x[:7], gait_index)
         if surrogate_pose is not None:
             message = wire.pose_in_frame(stamp, self._frame, surrogate_pose.tolist())
             self._write(channels.SURROGATE, end, message)
@@ -307,7 +308,7 @@ class Recorder:
         self._write(channels.COM, now, wire.pose_in_frame(stamp, self._frame, pose))
         if not self._drawn:
             return
-        points = (self._surface(x)[self._rows] - x[:3]) @ rotation_matrix(x[3:7])
+        points = (self._surface(x)[self._rows] - x[:3]) @ rotations.matrix(x[3:7])
         points = np.rint(points * (1 / _MESH_GRID)) * _MESH_GRID
         self._write(channels.MESH, now, self._mesh.encode(stamp, points))
         if self._moving and self._steps:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from defplan_mj.base import threads
+from defplan_mj.base import rotations, threads
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.model import Body
-from defplan_mj.body.rotation_strain import deformation
+from defplan_mj.body.rotation_strain import affine_coordinates
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.switching import roll_cycles, since_rest
@@ -53,7 +52,7 @@ def fit_surrogate(
         )
     task, before, after, radius = _switch(dynamics, gait, pairs, seed, progress)
     covariance, translation = pair_moments(dynamics.body, before, after)
-    own_angle = _angle(kabsch(covariance))
+    own_angle = rotations.angle(rotations.kabsch(covariance))
     own_length = np.linalg.norm(translation, axis=1)
     mine = [task == j for j in range(len(gait.task_names))]
     for name, of_task in zip(gait.task_names, mine, strict=True):
@@ -66,7 +65,7 @@ def fit_surrogate(
         body_hash=dynamics.body.hash,
         gait_hash=gait.hash,
         task_names=gait.task_names,
-        rotations=kabsch(np.array([covariance[i].sum(0) for i in mine])),
+        rotations=rotations.kabsch(np.array([covariance[i].sum(0) for i in mine])),
         translations=np.array([translation[i].mean(0) for i in mine]),
         cycle_seconds=gait.cycle_seconds,
         pairs=pairs,
@@ -93,28 +92,11 @@ def pair_moments(
         (n, 3, 3) covariances, kg m^2, and (n, 3) displacements of the centre of mass, m.
     """
     r = body.n_modes
-    frame = Rotation.from_quat(before[:, 3:7], scalar_first=True)
-    turned = frame.inv() * Rotation.from_quat(after[:, 3:7], scalar_first=True)
-    old, new = (_coordinates(body, x[:, 7 : 7 + r]) for x in (before, after))
+    frame = rotations.rotation(before[:, 3:7])
+    turned = frame.inv() * rotations.rotation(after[:, 3:7])
+    old, new = (affine_coordinates(body, x[:, 7 : 7 + r]) for x in (before, after))
     moments = np.einsum("abij,na,nb->nij", body.moments, new, old, optimize=True)
     return turned.as_matrix() @ moments, frame.inv().apply(after[:, :3] - before[:, :3])
-
-
-def kabsch(covariance: np.ndarray) -> np.ndarray:
-    """Return the rotations R (..., 3, 3) that minimise sum m |R y - y'|^2 (the paper's [41]).
-
-    Args:
-        covariance: (..., 3, 3) sum m y' y^T.
-    """
-    u, _, vt = np.linalg.svd(covariance)
-    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
-    return u @ vt
-
-
-def _coordinates(body: Body, q: np.ndarray) -> np.ndarray:
-    """Return zeta = (1, z(q)) (n, k + 1) of shapes q (n, r)."""
-    gradient = deformation(body.feature_map, q).reshape(len(q), -1)
-    return np.column_stack([np.ones(len(q)), gradient @ body.feature_weights.T])
 
 
 def _switch(
@@ -152,8 +134,3 @@ def _switch(
     finally:
         pool.shutdown(cancel_futures=True)
     return np.concatenate(found), np.concatenate(starts), np.concatenate(ends), radius
-
-
-def _angle(rotations: np.ndarray) -> np.ndarray:
-    """Return the angles (n,), rad, of rotation matrices (n, 3, 3)."""
-    return Rotation.from_matrix(rotations).magnitude()

@@ -7,36 +7,26 @@ frame into the world. In the plane it is the yaw frame, in space the body frame.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+
+from defplan_mj.base import rotations
 
 SPACING = 0.65
 """Smallest angle between Poisson-disk directions, as a share of that of a hexagonal packing."""
 _DARTS = 30  # for each direction and smallest angle
 
 
-def level_attitude(yaw: float | np.ndarray) -> np.ndarray:
-    """Return the (..., 4) unit quaternions w x y z of upright bodies with headings `yaw` (...,), rad."""
-    half, zero = np.asarray(yaw, float) / 2, np.zeros(np.shape(yaw))
-    return np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
-
-
-def frames_of(rotations: np.ndarray, dimension: int) -> np.ndarray:
+def frames_of(matrices: np.ndarray, dimension: int) -> np.ndarray:
     """Return the frames (..., d, d) of bodies with rotation matrices (..., 3, 3).
 
     In the plane only the heading of the body's forward axis counts.
     """
-    rotations = np.asarray(rotations, float)
-    if dimension == 3:
-        return rotations
-    yaw = np.arctan2(rotations[..., 1, 0], rotations[..., 0, 0])
-    return turns(yaw[..., None])
+    matrices = np.asarray(matrices, float)
+    return matrices if dimension == 3 else turns(rotations.heading(matrices)[..., None])
 
 
 def attitude_frames(orientations: np.ndarray, dimension: int) -> np.ndarray:
     """Return the frames (n, d, d) of attitudes (n, 4), unit quaternions w x y z."""
-    if not len(orientations):
-        return np.zeros((0, dimension, dimension))
-    return frames_of(Rotation.from_quat(orientations, scalar_first=True).as_matrix(), dimension)
+    return frames_of(rotations.matrix(orientations), dimension)
 
 
 def angles(dimension: int) -> int:
@@ -94,7 +84,7 @@ def random_directions(generator: np.random.Generator, n: int, dimension: int) ->
 def random_attitudes(generator: np.random.Generator, n: int, dimension: int) -> np.ndarray:
     """Return n attitudes (n, 4): level with any heading in the plane, any rotation in space."""
     if dimension == 2:
-        return level_attitude(generator.uniform(-np.pi, np.pi, n))
+        return rotations.level_attitude(generator.uniform(-np.pi, np.pi, n))
     quaternions = generator.standard_normal((n, 4))
     return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 

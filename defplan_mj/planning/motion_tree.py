@@ -68,8 +68,7 @@ class MotionTree(Ways):
             position, frames = position.repeat(self.gaits, 0), frames.repeat(self.gaits, 0)
             gait = np.arange(len(position)) % self.gaits
             starts.append(position)
-            position = position + np.einsum("nij,nj->ni", frames, motions.translations[gait])
-            frames = frames @ motions.rotations[gait]
+            position, frames = motions.of(gait).after(position, frames)
             ends.append(position)
             end_frames.append(frames)
         super().__init__(np.concatenate(starts), np.concatenate(ends))

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.rotations import level_attitude
 from defplan_mj.base.space import OF_DIMENSION, OF_OBSTACLE, Space
 from defplan_mj.planning.frames import (
-    level_attitude,
     random_attitudes,
     random_directions,
     spread_directions,

@@ -26,6 +26,15 @@ class Motions(NamedTuple):
     rotations: np.ndarray
     translations: np.ndarray
 
+    def of(self, gaits: np.ndarray) -> Motions:
+        """Return the motions of some gaits (n,), one after the other."""
+        return Motions(self.rotations[gaits], self.translations[gaits])
+
+    def after(self, position: np.ndarray, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return poses (n, d), (n, d, d) one motion later: (c + R t, R R_j) (paper, section IV-B)."""
+        end = position + np.einsum("nij,nj->ni", frames, self.translations)
+        return end, frames @ self.rotations
+
 
 @dataclass(frozen=True)
 class Surrogate:

@@ -14,7 +14,7 @@ import numpy as np
 from defplan_mj.planning.frames import angles, attitude_frames, renewed, turns
 from defplan_mj.planning.scenes import SceneBatch
 from defplan_mj.planning.sensors.sensor import sensor_of
-from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.planning.surrogate import Motions, Surrogate
 from defplan_mj.task import Navigation
 
 RUNNING, SUCCESS, COLLISION, TIMEOUT = range(4)
@@ -148,9 +148,8 @@ class SurrogateEnv:
         self.generator = np.random.default_rng(0) if generator is None else generator
         self.noise = noise
         d = navigation.dimension
-        motions = surrogate.motions(navigation.space)
-        self.rotations = motions.rotations.astype(np.float32)
-        self.translations = motions.translations.astype(np.float32)
+        rotations, translations = surrogate.motions(navigation.space)
+        self.motions = Motions(rotations.astype(np.float32), translations.astype(np.float32))
         self.rotation_noise = np.float32(noise) * surrogate.rotation_sd.astype(np.float32)
         self.translation_noise = np.float32(noise) * surrogate.translation_sd.astype(np.float32)
         self.sensor = sensor_of(navigation)
@@ -186,11 +185,11 @@ class SurrogateEnv:
 
     def step(self, actions: np.ndarray) -> Transition:
         """Move every robot by one cycle of its gait `actions` (n,)."""
-        rotation, translation = self.rotations[actions], self.translations[actions]
+        motions = self.motions.of(actions)
         if self.noise:
-            rotation, translation = self._scatter(rotation, translation, actions)
+            motions = self._scatter(motions, actions)
         start = self.position
-        end = start + np.einsum("nij,nj->ni", self.frames, translation)
+        end, frames = motions.after(start, self.frames)
         drift = self.velocities * self.seconds
         # Seen from an obstacle, the robot moves from `start` to `end - drift`.
         gap = segment_distance(self.centres, start[:, None], end[:, None] - drift)
@@ -198,7 +197,7 @@ class SurrogateEnv:
         before = np.sum((self.goal - start) ** 2, 1)
         after = np.sum((self.goal - end) ** 2, 1)
         reached = after < self.batch.goal_radius**2
-        self.position, self.frames = end, renewed(self.frames @ rotation)
+        self.position, self.frames = end, renewed(frames)
         self.centres = self.centres + drift
         self.cycles += 1
         outcome = np.full(self.n, RUNNING)
@@ -236,15 +235,13 @@ class SurrogateEnv:
         self.velocities[robots] = self.bank_velocities[scenes]
         self.cycles[robots] = 0
 
-    def _scatter(
-        self, rotation: np.ndarray, translation: np.ndarray, actions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _scatter(self, motions: Motions, actions: np.ndarray) -> Motions:
         """Return the motions with normal noise on each part of the translation and of the turn."""
-        d = translation.shape[1]
+        d = motions.translations.shape[1]
         noise = self.generator.standard_normal((self.n, d + angles(d)), np.float32)
         noise[:, :d] *= self.translation_noise[actions, None]
         noise[:, d:] *= self.rotation_noise[actions, None]
-        return rotation @ turns(noise[:, d:]), translation + noise[:, :d]
+        return Motions(motions.rotations @ turns(noise[:, d:]), motions.translations + noise[:, :d])
 
 
 @dataclass(frozen=True)

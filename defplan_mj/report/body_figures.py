@@ -6,9 +6,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from defplan_mj.body.model import Body
+from defplan_mj.body.tetmesh import boundary
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.log.plotting import SERIES, new_figure, styled, view
-from defplan_mj.report.drawing import boundary_faces, draw_surface, fit
+from defplan_mj.report.drawing import draw_surface, fit
 
 _OUTER, _INNER = "#1f7a8c", "#e0b25b"
 
@@ -27,7 +28,7 @@ def mesh_figures(body: Body) -> tuple[Figure, Figure]:
     grid[0, 0].set_title(f"{len(body.vertices)} vertices")
     # seen from the right (azimuth < 0): what lies to the right is on the viewer's side
     centre = body.vertices[body.tetrahedra].mean(1)
-    faces = boundary_faces(body.tetrahedra[centre[:, 1] > 0])
+    faces, _ = boundary(body.tetrahedra[centre[:, 1] > 0])
     outside = {tuple(face) for face in np.sort(body.faces, axis=1).tolist()}
     inner = [tuple(face) not in outside for face in np.sort(faces, axis=1).tolist()]
     opened, grid = new_figure(4.6, 2.4)

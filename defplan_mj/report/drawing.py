@@ -96,13 +96,3 @@ def outlines(points: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
                 break
         loops.append(points[loop][:, :2])
     return loops
-
-
-def boundary_faces(tetrahedra: np.ndarray) -> np.ndarray:
-    """Return the outward faces (f, 3) that only one of the tetrahedra has."""
-    corners = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-    faces = tetrahedra[:, corners].reshape(-1, 3)
-    _, first, count = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    return faces[first[count == 1]]

@@ -97,7 +97,7 @@ class Material:
     @property
     def legged(self) -> bool:
         """Whether gaits are seen better from the side: in space, and on the ground."""
-        return self.space == SPACE.name or (self.spec is not None and self.spec.walks)
+        return self.space == SPACE.name or (self.spec is not None and self.spec.world.walks)
 
     @property
     def switching(self) -> dict[str, Any]:

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from defplan_mj.dynamics.symbolic import retract_function
 from defplan_mj.gait.problem import GaitProblem
 from defplan_solvers.cio.model import Walker
 from defplan_solvers.cio.terms import Weights, cycle_function, stage_function, state_scale
-from defplan_solvers.gait.trajectories import Compiled, retract
+from defplan_solvers.gait.trajectories import Compiled
 
 _FORCE, _SHAPE, W_METRIC, _STATE = 0.3, 0.3, 0.3, 30.0  # of the damping: forces, shapes, w, states
 _LONGEST = 0.5  # of a step of the states, in rad and units of q
@@ -89,8 +90,7 @@ class ContactInvariant:
             Compiled(cycle_function(problem, walker.nx, judged, jacobian).map(self.count * judged))
             for jacobian in (False, True)
         )
-        x, dx = ca.SX.sym("x", walker.nx), ca.SX.sym("dx", self.nt)
-        self._retract = Compiled(ca.Function("retract", [x, dx], [retract(x, dx)]).map(total))
+        self._retract = Compiled(retract_function(walker.nx).map(total))
         self._dmp, self._dmp_jacobian, self._of_w, self._of_w_derivatives = self._w_functions()
         metric = np.full(self.nt, _STATE) * (state_scale(walker)) ** 2
         self.metric = metric

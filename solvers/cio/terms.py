@@ -11,9 +11,10 @@ from dataclasses import astuple, dataclass
 import casadi as ca
 import numpy as np
 
+from defplan_mj.dynamics.symbolic import difference_function, tangent_function
+from defplan_mj.gait import residuals
 from defplan_mj.gait.problem import GaitProblem
 from defplan_solvers.cio.model import Walker
-from defplan_solvers.gait.trajectories import difference, retract
 
 _TURN, _SHAPE = 0.3, 0.1  # metres that one radian, and one unit of q, count in E_phys
 _TOUCH = 0.02  # share of the weight from which a foot counts as touching
@@ -101,14 +102,14 @@ def stage_function(
     scale, newtons = unit * state_scale(walker), walker.weight * ca.reshape(force, 3, feet)
 
     y = walker.step(x, u, newtons)
-    physics, by_next, by_y = _difference_function(nx, scale)(x_next, y)
+    physics, by_next, by_y = difference_function(nx, scale)(x_next, y)
     cio = _with_jacobian(foot_residuals(walker), (0, 1, 2))(
         walker.feet(x), walker.feet(x_next), ca.reshape(force, 3, feet), weights
     )
     rest = _with_jacobian(_posture(walker, problem, judged), (0, 1))(x_next, u, wanted, weights)
     outputs = [ca.vertcat(weights[0] * physics, cio[0], rest[0])]
     if jacobian:
-        tangent = _tangent_function(nx)
+        tangent = tangent_function(nx)
         t, t_next = tangent(x), tangent(x_next)
         step_x, step_u, step_f = walker.step.jacobian()(x, u, newtons, y)
         feet_x, feet_next = (walker.feet.jacobian()(at, walker.feet(at)) for at in (x, x_next))
@@ -131,11 +132,9 @@ def _posture(walker: Walker, problem: GaitProblem, judged: int) -> ca.Function:
     x, weights = ca.SX.sym("x", walker.nx), ca.SX.sym("weights", len(Weights(0, 0).array()))
     u, wanted = ca.SX.sym("u", walker.nu), ca.SX.sym("wanted", walker.nu)
     share = weights[7] / np.sqrt(problem.steps_per_cycle * judged)
-    # squared tilt 2 (1 - R_zz), to second order, as in the problem's E_obj
-    lean = ca.fmax(0, 4 * ca.sumsqr(x[4:6]) - np.radians(15) ** 2)
     rows = [
-        share * np.sqrt(problem.weights.tilt) * 2 * x[4:6],
-        share * np.sqrt(problem.weights.upright) * lean,
+        share * np.sqrt(problem.weights.tilt) * residuals.tilt(x),
+        share * np.sqrt(problem.weights.upright) * residuals.lean(x),
         weights[5] * ca.fmax(0, ca.fabs(u) / walker.amplitude - 1),
         weights[6] * (u - wanted),
     ]
@@ -150,50 +149,21 @@ def cycle_function(problem: GaitProblem, nx: int, judged: int, jacobian: bool) -
     """
     start, end, wanted = ca.SX.sym("x", nx), ca.SX.sym("x_end", nx), ca.SX.sym("wanted", 7)
     weight, weights = ca.SX.sym("weight"), problem.weights
-    ahead, ahead_end = (_heading(x) for x in (start, end))
-    yaw = ca.atan2(ahead[0] * ahead_end[1] - ahead[1] * ahead_end[0], ca.dot(ahead, ahead_end))
-    ahead = ahead / ca.sqrt(ca.sumsqr(ahead) + 1e-12)
-    move = end[:3] - start[:3]
-    moved = ca.vertcat(ca.dot(ahead, move[:2]), ahead[0] * move[1] - ahead[1] * move[0])
-    direction, advance = wanted[3:5], wanted[6]
-    along = ca.dot(direction, moved)
+    ends = residuals.planar(start, end, wanted[:3], wanted[3:6], wanted[6])
     rows = [
-        np.sqrt(weights.turn) * (yaw - wanted[2]),
-        np.sqrt(weights.move) * ca.fmax(0, advance - along),
-        np.sqrt(weights.drift) * (moved - along * direction),
-        np.sqrt(weights.sink) * move[2],
+        np.sqrt(weights.turn) * ends.turn,
+        np.sqrt(weights.move) * ends.shortfall,
+        np.sqrt(weights.drift) * ends.drift,
+        np.sqrt(weights.sink) * ends.rise,
     ]
     r = weight / np.sqrt(judged) * ca.vertcat(*rows)
     value = ca.Function("cycle", [start, end, wanted, weight], [r])
     if not jacobian:
         return value
     _, by_start, by_end = _with_jacobian(value, (0, 1))(start, end, wanted, weight)
-    tangent = _tangent_function(nx)
+    tangent = tangent_function(nx)
     both = ca.horzcat(by_start @ tangent(start), by_end @ tangent(end))
     return ca.Function("cycle", [start, end, wanted, weight], [r, ca.densify(both)])
-
-
-def _heading(x: ca.SX) -> ca.SX:
-    """The body's x axis, as the ground sees it."""
-    w, a, b, c = (x[3 + i] for i in range(4))
-    return ca.vertcat(1 - 2 * (b * b + c * c), 2 * (a * b + w * c))
-
-
-def _difference_function(nx: int, scale: np.ndarray) -> ca.Function:
-    """(a, b) -> scale times the tangent step from b to a; its Jacobians, over a's tangent and b."""
-    a, b, da = ca.SX.sym("a", nx), ca.SX.sym("b", nx), ca.SX.sym("da", nx - 1)
-    step = scale * difference(retract(a, da), b)
-    outputs = [step, ca.jacobian(step, da), ca.jacobian(step, b)]
-    return ca.Function(
-        "difference", [a, b], [ca.substitute(out, da, ca.DM.zeros(nx - 1)) for out in outputs]
-    )
-
-
-def _tangent_function(nx: int) -> ca.Function:
-    """x -> derivative of the state by a tangent step (nx x (nx - 1))."""
-    x, dx = ca.SX.sym("x", nx), ca.SX.sym("dx", nx - 1)
-    by = ca.substitute(ca.jacobian(retract(x, dx), dx), dx, ca.DM.zeros(nx - 1))
-    return ca.Function("tangent", [x], [by])
 
 
 def _with_jacobian(function: ca.Function, over: tuple[int, ...]) -> ca.Function:

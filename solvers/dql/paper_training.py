@@ -13,6 +13,7 @@ from torch import nn
 from torch.nn import functional
 
 from defplan_mj.base.progress import Progress
+from defplan_mj.base.space import SPACES
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes, training_scenes
 from defplan_mj.planning.sensors.laser import beam_directions, laser_of
 from defplan_mj.planning.surrogate import Surrogate
@@ -32,7 +33,7 @@ def taps(beams: int, space: str, width: int) -> np.ndarray:
     different, that fit best on a small sunflower around it, as dense as the beams and turned with the
     meridian, so that a weight means about the same direction everywhere but at the poles.
     """
-    if space == "planar":
+    if SPACES[space].level:
         return (np.arange(beams)[:, None] + np.arange(width)) % beams
     directions = beam_directions(beams, space)
     east = np.column_stack([-directions[:, 1], directions[:, 0], np.zeros(beams)])

@@ -17,6 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from defplan_mj.base.space import SPACES
 from defplan_mj.dynamics import tangent
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
@@ -163,7 +164,7 @@ class Ilqg:
         space: str = "planar",
         options: Options = Options(),
     ) -> None:
-        self._level, self._depth = space == "planar", dynamics.terrain is None
+        self._level, self._depth = SPACES[space].level, dynamics.terrain is None
         if self._depth:
             options = replace(options, height=0.0)
         if not self._level:
@@ -190,10 +191,10 @@ class Ilqg:
         here = Frame.of(x, self._level, self._depth)
         if self._frame is not None and self._track is not None:
             course = self._frame.then(self._track.motion).quaternion
-            error = 2 * tangent.rotations(here.quaternion).T @ course
+            error = 2 * tangent.attitude_tangent(here.quaternion).T @ course
             error *= 1.0 if here.quaternion @ course >= 0 else -1.0
             error *= min(1.0, self.options.leash / max(float(np.linalg.norm(error)), 1e-12))
-            turned = here.quaternion + tangent.rotations(here.quaternion) @ (0.5 * error)
+            turned = here.quaternion + tangent.attitude_tangent(here.quaternion) @ (0.5 * error)
             here = Frame(here.position, turned / np.linalg.norm(turned))
         self._frame, self._track, self._next = here, self.tracks[task], 0
         self._guide = None  # it is told from the old frame

@@ -13,24 +13,16 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
-from defplan_mj.gait.costs import quaternion_product
+from defplan_mj.dynamics.symbolic import (
+    difference_function,
+    retract,
+    retract_function,
+    tangent_function,
+)
 from defplan_mj.gait.problem import GaitProblem
 
 _TRIALS = 8  # of the damping, before Newton gives up
 _TURN, _SHAPE = 0.3, 0.1  # metres that one radian, and one unit of q, count in a residual
-
-
-def retract(x: ca.SX, step: ca.SX) -> ca.SX:
-    """Move a state by a tangent step (nx - 1): rotation vectors in the body frame."""
-    turn = ca.vertcat(1, step[3:6] / 2)
-    quat = quaternion_product(x[3:7], turn)
-    return ca.vertcat(x[:3] + step[:3], quat / ca.norm_2(quat), x[7:] + step[6:])
-
-
-def difference(a: ca.SX, b: ca.SX) -> ca.SX:
-    """Tangent step from state b to state a; rotation by twice the sine of half the angle's vector."""
-    turn = quaternion_product(ca.vertcat(b[3], -b[4:7]), a[3:7])
-    return ca.vertcat(a[:3] - b[:3], 2 * ca.sign(turn[0]) * turn[1:4], a[7:] - b[7:])
 
 
 class Compiled:
@@ -78,7 +70,7 @@ class Trajectories:
         mode = ("thread", threads) if threads > 1 else ()
         self._stage = Compiled(self._stage_function(False).map(self.total, *mode))
         self._stage_jacobian = Compiled(self._stage_function(True).map(self.total, *mode))
-        self._retract = Compiled(self._retract_function().map(self.total))
+        self._retract = Compiled(retract_function(self.nx).map(self.total))
         judged = len(sequences) * (len(sequences[0]) - settle)
         value, derivatives, pattern = self._cycle_functions(judged)
         self._cycle, self._cycle_derivatives = (
@@ -88,23 +80,9 @@ class Trajectories:
 
     def _stage_function(self, jacobian: bool) -> ca.Function:
         """(x, u, x_next) -> scaled residual x_next - f(x, u) [and its Jacobians, in the tangent]."""
-        nx, nt, r = self.nx, self.nt, self.r
+        nx, r = self.nx, self.r
         step = self.problem.casadi_dynamics.step
-        a, b, da = ca.SX.sym("a", nx), ca.SX.sym("b", nx), ca.SX.sym("da", nt)
-        zero = ca.DM.zeros(nt)
-        residual = self.scale * difference(retract(a, da), b)
-        compare = ca.Function(
-            "difference",
-            [a, b],
-            [
-                ca.substitute(residual, da, zero),
-                ca.substitute(ca.jacobian(residual, da), da, zero),
-                ca.substitute(ca.jacobian(residual, b), da, zero),
-            ],
-        )
-        tangent = ca.Function(
-            "tangent", [a], [ca.substitute(ca.jacobian(retract(a, da), da), da, zero)]
-        )
+        compare, tangent = difference_function(nx, self.scale), tangent_function(nx)
         x, u, x_next = ca.MX.sym("x", nx), ca.MX.sym("u", r), ca.MX.sym("x_next", nx)
         y = step(x, u)
         value, by_next, by_y = compare(x_next, y)
@@ -113,10 +91,6 @@ class Trajectories:
             by_x, by_u = step.jacobian()(x, u, y)
             outputs += [ca.densify(ca.horzcat(by_y @ (by_x @ tangent(x)), by_y @ by_u, by_next))]
         return ca.Function("stage", [x, u, x_next], outputs)
-
-    def _retract_function(self) -> ca.Function:
-        x, step = ca.SX.sym("x", self.nx), ca.SX.sym("step", self.nt)
-        return ca.Function("retract", [x, step], [retract(x, step)])
 
     def _cycle_functions(self, judged: int) -> tuple[ca.Function, ca.Function, ca.Sparsity]:
         """E_obj of one cycle by its states (nx, n + 1), start first: value; gradient and Hessian."""

@@ -107,9 +107,8 @@ def search(
             continue
         new = slice(made, made + len(step))
         made = new.stop
-        way = np.einsum("nij,nj->ni", turned[parent], steps.translations[step])
-        position[new] = end = start[parent] + way
-        frames[new] = facing = turned[parent] @ steps.rotations[step]
+        end, facing = steps.motions.of(step).after(start[parent], turned[parent])
+        position[new], frames[new] = end, facing
         cycles[new] = spent = cycles[chosen][parent] + steps.cycles[step]
         begun = first[chosen][parent]
         first[new] = begun = np.where(begun < 0, steps.first[step], begun)

@@ -29,15 +29,14 @@ class Manoeuvres(Ways):
     Attributes:
         first: (M,) the first gait of each manoeuvre.
         cycles: (M,) how many it has.
-        rotations, translations: (M, d, d) and (M, d) where it leads.
+        motions: of the M manoeuvres: where each leads.
         reach: how far it gets from its start, m.
         span: how far it may turn the heading before it moves, rad.
     """
 
     def __init__(self, motions: Motions, heading: np.ndarray) -> None:
-        rotations, translations = motions
-        moves = np.linalg.norm(translations, axis=1) >= IN_PLACE
-        d = translations.shape[1]
+        moves = np.linalg.norm(motions.translations, axis=1) >= IN_PLACE
+        d = motions.translations.shape[1]
         starts, ends, frames, self.levels = [], [], [], []
         parents: list[int] = []
         firsts: list[int] = []
@@ -48,14 +47,14 @@ class Manoeuvres(Ways):
         for depth in range(1, TURNS + 2):
             level, following = len(parents), []
             for parent, place, frame, begun in roots:
-                for gait in range(len(moves)):
-                    turned = frame @ rotations[gait]
+                places, turns = motions.after(place[None], frame[None])
+                for gait, (there, turned) in enumerate(zip(places, turns, strict=True)):
                     if not moves[gait]:
                         if depth > TURNS or (known @ (turned @ heading)).max() > np.cos(ALIKE):
                             continue
                         known = np.vstack([known, turned @ heading])
                     first = gait if begun < 0 else begun
-                    index, there = len(parents), place + frame @ translations[gait]
+                    index = len(parents)
                     starts.append(place)
                     ends.append(there)
                     frames.append(turned)
@@ -72,7 +71,7 @@ class Manoeuvres(Ways):
         self.span = float(np.arccos(np.clip(known @ heading, -1, 1)).max())
         self.last, self.parent = np.array(last), np.array(parents)
         self.first, self.cycles = np.array(firsts)[last], np.array(depths)[last]
-        self.rotations, self.translations = np.array(frames)[last], np.array(ends)[last]
+        self.motions = Motions(np.array(frames)[last], np.array(ends)[last])
         self.reach = float(np.linalg.norm(np.array(ends), axis=1).max())
 
     def free(self, cycles: np.ndarray) -> np.ndarray:

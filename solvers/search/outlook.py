@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from defplan_mj.base import rotations
 from defplan_mj.planning.surrogate import Motions
 
 LEAST_TURN = 0.1  # a gait that turns the robot by less than this does not steer, rad
@@ -33,7 +33,7 @@ class Outlook:
         self.advance = max(float(lengths.max()), 1e-9)
         forth = lengths >= NEARLY * self.advance
         self.axes = motions.translations[forth] / np.maximum(lengths[forth], 1e-9)[:, None]
-        angle = turn_angles(motions.rotations)
+        angle = rotations.angle(motions.rotations)
         cost = (1 - lengths / self.advance) / np.maximum(angle, 1e-9)
         self.per_radian = float(cost[angle > LEAST_TURN].min(initial=np.inf))
         if not np.isfinite(self.per_radian):
@@ -53,10 +53,3 @@ class Outlook:
         return self.cycles(
             np.einsum("kij,...ki->...kj", rotations, offset[..., None, :] - translations)
         )
-
-
-def turn_angles(rotations: np.ndarray) -> np.ndarray:
-    """Return the angles (K,), rad, of rotations (K, d, d)."""
-    if rotations.shape[-1] == 2:
-        return np.abs(np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]))
-    return Rotation.from_matrix(rotations).magnitude()
