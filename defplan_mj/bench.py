@@ -25,6 +25,7 @@ from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.kernel import library
+from defplan_mj.planning.outcome import Outcome
 from defplan_mj.planning.scenes import Scene, novel_scenes, training_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv
@@ -309,7 +310,7 @@ def _environment_cycles(environment: Any, repeats: int) -> Timing:
 
 def _cycle(environment: Any) -> tuple[float, float]:
     """Play a cycle, after a reset if the last episode is over; wall and simulated seconds."""
-    if environment.task.outcome != "running":
+    if environment.task.outcome != Outcome.RUNNING:
         environment.reset()
     before, start = environment.physics.time(), time.perf_counter()
     environment.step(0)

@@ -18,7 +18,7 @@ from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
-from defplan_mj.dynamics.terrain import Terrain, TerrainGeom, pack_terrain
+from defplan_mj.dynamics.terrain import Terrain, TerrainGeom, contact_law
 from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.switching import MAX_TILT, MIN_HEIGHT, heading, tilt, wrap
@@ -105,13 +105,14 @@ def world(dynamics: ReducedDynamics, condition: Condition) -> ReducedDynamics:
     """Return the dynamics as it really is in a condition."""
     terrain = dynamics.terrain
     if terrain is not None:
-        packed = pack_terrain(terrain, dynamics.body)
         half = 0.5 * condition.slope
         lean = (float(np.cos(half)), 0.0, -float(np.sin(half)), 0.0)
         terrain = replace(
             terrain,
             friction=condition.friction * terrain.friction,
-            stiffness=float(packed[2]),  # of the ground: it does not know the body's mass
+            stiffness=contact_law(
+                terrain, dynamics.body
+            ).stiffness,  # of the ground: it does not know the body's mass
             geoms=(TerrainGeom("plane", quaternion=lean),) if condition.slope else terrain.geoms,
         )
     body = heavier(dynamics.body, condition.mass) if condition.mass != 1.0 else dynamics.body

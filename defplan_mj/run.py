@@ -410,10 +410,4 @@ def open_run(
 
 def write_json(path: Path, data: Any) -> None:
     """Write `data` as JSON, atomically."""
-    files.write_text(path, json.dumps(data, indent=1, default=_plain, allow_nan=False) + "\n")
-
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    raise TypeError(f"cannot write a {type(value).__name__} as JSON")
+    files.write_text(path, json.dumps(data, indent=1, default=files.plain, allow_nan=False) + "\n")

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
@@ -142,3 +148,68 @@ def test_a_process_killed_while_writing_leaves_the_old_file(tmp_path):
     writer.wait(10)
     writer.stdout.close()
     assert path.read_text() == "old"
+
+
+def test_what_json_does_not_know_becomes_plain_data_or_is_refused():
+    @dataclasses.dataclass
+    class Pair:
+        a: int
+        b: float
+
+    data = {"n": np.int64(3), "v": np.arange(2.0), "p": Path("a") / "b", "d": Pair(1, 0.5)}
+    plain = json.loads(json.dumps(data, default=files.plain))
+    assert plain == {"n": 3, "v": [0.0, 1.0], "p": "a/b", "d": {"a": 1, "b": 0.5}}
+    with pytest.raises(TypeError, match="cannot write a object as JSON"):
+        json.dumps(object(), default=files.plain)
+
+
+ANY_ARRAY = hnp.arrays(
+    st.sampled_from([np.float64, np.float32, np.int64, np.uint8, np.bool_]),
+    hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=5),
+)
+ANY_META = st.dictionaries(st.text(max_size=8), st.integers(-(2**31), 2**31) | st.text(max_size=8))
+
+
+@settings(deadline=None)
+@given(st.dictionaries(st.sampled_from(["a", "b", "c"]), ANY_ARRAY), ANY_META)
+def test_any_arrays_come_back_to_the_bit(tmp_path_factory, arrays, meta):
+    path = tmp_path_factory.mktemp("any") / "x.npz"
+    digest = files.save_archive(path, "thing", 1, arrays, meta)
+    again, meta_again, hash_again = files.load_archive(path, "thing", 1)
+    assert (meta_again, hash_again, set(again)) == (meta, digest, set(arrays))
+    for name, array in arrays.items():
+        assert again[name].dtype == array.dtype and again[name].shape == array.shape
+        assert again[name].tobytes() == array.tobytes()
+
+
+@settings(deadline=None, max_examples=200)
+@given(place=st.floats(0, 1), mask=st.integers(1, 255), cut=st.booleans())
+def test_a_damaged_archive_is_one_sentence_or_whole(tmp_path_factory, place, mask, cut):
+    path = tmp_path_factory.mktemp("damaged") / "x.npz"
+    files.save_archive(path, "thing", 1, ARRAYS, META)
+    data = bytearray(path.read_bytes())
+    at = min(int(place * len(data)), len(data) - 1)
+    if cut:
+        del data[at:]
+    else:
+        data[at] ^= mask
+    path.write_bytes(data)
+    try:
+        arrays, meta, _ = files.load_archive(path, "thing", 1)
+    except DefplanError as error:
+        assert str(path) in str(error) and "\n" not in str(error)
+        return
+    assert meta == META and all(np.array_equal(arrays[n], ARRAYS[n]) for n in ARRAYS)
+
+
+class _Trap:
+    def __reduce__(self):
+        return os.mkdir, ("unpickled",)
+
+
+def test_an_archive_with_an_object_in_it_is_refused_and_not_unpickled(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.savez("x.npz", a=np.array([_Trap()], object))
+    with pytest.raises(DefplanError, match="not a whole thing file"):
+        files.load_archive("x.npz", "thing", 1)
+    assert not os.path.exists("unpickled")

@@ -6,6 +6,8 @@ import struct
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from log_samples import record_episode
 from mcap.opcode import Opcode
 
@@ -58,6 +60,24 @@ def test_a_log_cut_anywhere_gives_its_start_or_one_sentence(whole, tmp_path):
         assert not log.whole and f"cut at byte {place}" == log.fault
         assert is_start_of(log, kept)
     assert read > 40
+
+
+@settings(deadline=None, max_examples=60)
+@given(data=st.data())
+def test_any_part_of_a_log_followed_by_anything_gives_its_start_or_one_sentence(
+    whole, tmp_path_factory, data
+):
+    content, kept = whole
+    place = data.draw(st.integers(0, len(content)))
+    tail = data.draw(st.binary(min_size=1, max_size=40))
+    path = tmp_path_factory.mktemp("cut") / "cut.mcap"
+    path.write_bytes(content[:place] + tail)
+    try:
+        log = read_log(path)
+    except DefplanError as error:
+        assert str(path) in str(error) and str(error).count("\n") == 0
+        return
+    assert is_start_of(log, kept)
 
 
 def test_a_later_cut_never_gives_less(whole, tmp_path):

@@ -5,8 +5,9 @@ import planning_samples as samples
 import pytest
 
 from defplan_mj.planning.frames import turns
+from defplan_mj.planning.outcome import SUCCESS
 from defplan_mj.planning.shield import Shield
-from defplan_mj.planning.surrogate_env import SUCCESS, SurrogateEnv, run_on_surrogate
+from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.search.greedy import GreedyPlanner
 from defplan_solvers.search.loops import SAME, VISIT, LoopBreaker

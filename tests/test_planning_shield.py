@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.planning.frames import attitude_frames, turns
 from defplan_mj.planning.motion_tree import MotionTree
+from defplan_mj.planning.outcome import COLLISION
 from defplan_mj.planning.planner import carried_out
 from defplan_mj.planning.scenes import SceneBatch, novel_scenes
 from defplan_mj.planning.shield import Shield
-from defplan_mj.planning.surrogate_env import COLLISION, run_on_surrogate
+from defplan_mj.planning.surrogate_env import run_on_surrogate
 from defplan_mj.task import Navigation
 
 NAVIGATION = Navigation()

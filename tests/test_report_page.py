@@ -192,7 +192,7 @@ def test_a_spatial_run_is_drawn_from_all_sides_and_knows_no_heading(spatial_run)
     assert "rotation mean (rad)" in text
     # Wilson's interval of 2 of 40: 0.0138 to 0.1650
     assert "fall" in page.text["success"] and "5% (1–17%)" in page.text["success"]
-    assert "40 a speed" in page.text["success"]
+    assert "40 episodes a speed" in page.text["success"]
 
 
 def test_the_page_loads_nothing_from_outside(page, run):
@@ -218,8 +218,8 @@ def test_figures_of_the_run_are_in_the_page(page):
     header, success = page.text["header"], page.text["success"]
     assert "95%" in header and "of 200 targets reached" in header and "186.4 s" in header
     # Wilson's interval of 190 of 200: 0.9104 to 0.9726
-    assert "novel, with shield" in success and "91–97%" in success
-    assert "novel, without shield" in success and "90%" in success
+    assert "unseen scenes, with shield" in success and "91–97%" in success
+    assert "unseen scenes, without shield" in success and "90%" in success
     assert "0.410 ± 0.010" in page.text["gaits"] and "3 of 200 cycles tilt" in page.text["gaits"]
 
 

@@ -12,6 +12,7 @@ import sys
 
 import numpy as np
 import pytest
+from processes import heed_ctrl_c
 
 from defplan_mj import cli, registry
 from defplan_mj.base import files
@@ -21,7 +22,7 @@ from defplan_mj.body.build import build_body
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.replay import replay_log
-from defplan_mj.planning.evaluation import OUTCOMES
+from defplan_mj.planning.outcome import ENDINGS
 from defplan_mj.planning.planner import TrainResult
 from defplan_mj.results import run_results
 from defplan_mj.run import SPEEDS, open_run
@@ -274,7 +275,7 @@ def test_episodes_among_moving_obstacles_are_counted_at_every_speed(setting, sho
     assert [row["speed"] for row in results["moving"]] == list(SPEEDS)
     for row in results["moving"]:
         assert row["episodes"] == 2 and "rows" not in row
-        assert sum(row[name] for name in OUTCOMES) == pytest.approx(1.0)
+        assert sum(row[name] for name in ENDINGS) == pytest.approx(1.0)
         assert set(row["interval"]) >= {"success"}
     json.dumps(results, allow_nan=False)
     assert setting.run(moving=2)[0]["moving"] == results["moving"]
@@ -370,6 +371,7 @@ def test_an_unknown_task_is_told_with_what_there_is(tmp_path, capfd):
 def start(argv, **options):
     """Start `defplan` in a process of its own."""
     command = [sys.executable, "-m", "defplan_mj", *argv]
+    options = {"preexec_fn": heed_ctrl_c, **options}
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
     )

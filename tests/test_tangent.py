@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from kernel_cases import in_medium, random_state
 from scipy.spatial.transform import Rotation
 
@@ -26,6 +29,49 @@ def test_a_change_that_is_made_is_found_again(dynamics):
         np.testing.assert_allclose(
             tangent.difference(tangent.retract(x, z), x), z, rtol=1e-12, atol=1e-12
         )
+
+
+NX = 13 + 3 * 2
+NUMBERS = st.floats(-10, 10)
+ATTITUDES = hnp.arrays(float, 4, elements=st.floats(-1, 1)).filter(
+    lambda q: np.linalg.norm(q) > 1e-3
+)
+
+
+def _state(numbers: np.ndarray, attitude: np.ndarray) -> np.ndarray:
+    x = numbers.copy()
+    x[3:7] = attitude / np.linalg.norm(attitude)
+    return x
+
+
+@given(
+    hnp.arrays(float, NX, elements=NUMBERS), ATTITUDES, hnp.arrays(float, NX - 1, elements=NUMBERS)
+)
+def test_any_change_up_to_nearly_half_a_turn_is_found_again(numbers, attitude, z):
+    x = _state(numbers, attitude)
+    z[3:6] *= 1.9 / max(1.9, np.linalg.norm(z[3:6]))
+    there = tangent.retract(x, z)
+    assert np.linalg.norm(there[3:7]) == pytest.approx(1, abs=1e-14)
+    np.testing.assert_allclose(tangent.difference(there, x), z, atol=1e-11)
+
+
+@given(hnp.arrays(float, (2, NX), elements=NUMBERS), ATTITUDES, ATTITUDES)
+def test_any_two_states_are_a_change_apart_that_leads_from_one_to_the_other(numbers, one, other):
+    x, origin = _state(numbers[0], one), _state(numbers[1], other)
+    assume(abs(x[3:7] @ origin[3:7]) > 0.05)  # not half a turn apart
+    there = tangent.retract(origin, tangent.difference(x, origin))
+    there[3:7] *= np.sign(there[3:7] @ x[3:7])
+    np.testing.assert_allclose(there, x, atol=1e-11)
+
+
+@given(
+    hnp.arrays(float, (2, NX), elements=NUMBERS), ATTITUDES, ATTITUDES, st.booleans(), st.booleans()
+)
+def test_a_frame_leads_there_and_back(numbers, one, other, level, depth):
+    x, place = _state(numbers[0], one), _state(numbers[1], other)
+    frame = Frame.of(place, level, depth)
+    there = frame.outside(frame.inside(x))
+    np.testing.assert_allclose(there, x, atol=1e-11)
 
 
 def test_the_rotation_part_is_the_rotation_vector_whatever_the_quaternions_sign(dynamics):

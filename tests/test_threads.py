@@ -8,6 +8,7 @@ import sys
 import threading
 
 import pytest
+from processes import heed_ctrl_c
 from threadpoolctl import threadpool_info
 
 from defplan_mj.base import threads
@@ -54,7 +55,13 @@ except KeyboardInterrupt:
     print(threads.abandoned(), flush=True)
     os._exit(0 if time.monotonic() - start < 30 else 1)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        preexec_fn=heed_ctrl_c,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "True\n"
 

@@ -273,20 +273,15 @@ def check_footing(found: dict[str, float], slip: float) -> None:
     assert found["belly_load"] == 0.0
 
 
-POOR_SEEDS = (("tee", 2), ("tee", 4))
-POOR = pytest.mark.xfail(reason="slides too much or falls, docs/gaits.md", strict=False)
+# The T's seeds 2 and 4 slide too much or fall (docs/gaits.md): nothing is claimed of them.
+STEADY_SEEDS = {"quadruped": (0, 1, 2, 3, 4), "tee": (0, 1, 3)}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("domain", "seed"),
-    [
-        pytest.param(domain, seed, marks=[POOR] if (domain, seed) in POOR_SEEDS else [])
-        for domain in SPECS
-        for seed in range(5)
-    ],
+    ("domain", "seed"), [(domain, seed) for domain in SPECS for seed in STEADY_SEEDS[domain]]
 )
-def test_every_seed_walks_four_ways_without_a_fall(domain: str, seed: int) -> None:
+def test_every_steady_seed_walks_four_ways_without_a_fall(domain: str, seed: int) -> None:
     spec = SPECS[domain]
     body = build_body(spec.mesh, spec.body, name=spec.name)
     problem = GaitProblem.of(spec, ReducedDynamics(body, spec.timestep, spec.terrain))

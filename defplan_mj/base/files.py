@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import hashlib
 import json
 import math
@@ -73,6 +74,21 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     """Write `data` to `path` atomically."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
+
+
+def plain(value: Any) -> Any:
+    """Return what JSON can hold for a NumPy scalar, an array, a path or a dataclass (json's `default`).
+
+    Raises:
+        TypeError: it is none of these.
+    """
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
+    raise TypeError(f"cannot write a {type(value).__name__} as JSON")
 
 
 def content_hash(arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> str:

@@ -237,7 +237,7 @@ def _stage(
 
 
 def view(arguments: argparse.Namespace, console: Console) -> int:
-    """Watch the planner steer through novel scenes, in real time, until the window is closed."""
+    """Watch the planner steer through unseen scenes, in real time, until the window is closed."""
     from defplan_mj import trial
     from defplan_mj.host.viewer import require_display, view
 

@@ -61,7 +61,9 @@ class Console:
     def result(self, data: Mapping[str, Any], text: str) -> None:
         """Print the result: `data` as one JSON object with --json, else `text`."""
         if self._stdout is not None:
-            line = json.dumps(data, default=_plain, allow_nan=False) + "\n"
+            from defplan_mj.base import files  # NumPy is loaded only when there is a result
+
+            line = json.dumps(data, default=files.plain, allow_nan=False) + "\n"
             with open(os.dup(self._stdout), "w", encoding="utf-8") as stream:
                 stream.write(line)
         else:
@@ -138,12 +140,3 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str = ""
 
     rule = "  ".join("-" * w for w in width)
     return "\n".join([*([title] if title else []), line(list(columns)), rule, *map(line, text)])
-
-
-def _plain(value: Any) -> Any:
-    """Return what JSON can hold for a NumPy scalar, an array or a path."""
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    raise TypeError(f"cannot write a {type(value).__name__} as JSON")

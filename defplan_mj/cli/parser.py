@@ -94,7 +94,9 @@ def _run(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
     _feedback(sub)
     sub.add_argument(
+        "--compare-with",
         "--rival",
+        dest="rival",
         metavar="NAME",
         action="append",
         help="gait solver that the report compares with; may be given more than once "
@@ -104,7 +106,7 @@ def _run(sub: argparse.ArgumentParser) -> None:
         "--solver-seeds", type=_count, metavar="N", help="of that comparison (default: 1)"
     )
     sub.add_argument("--pairs", type=_count, metavar="N", help="for the surrogate (default: 1000)")
-    sub.add_argument("--episodes", type=_count, metavar="N", help="novel scenes (default: 200)")
+    sub.add_argument("--episodes", type=_count, metavar="N", help="unseen scenes (default: 200)")
     sub.add_argument(
         "--moving",
         type=_natural,
@@ -170,9 +172,14 @@ def _evaluate(sub: argparse.ArgumentParser) -> None:
         "--shield",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="wrap the planner in the safety shield (default: with it)",
+        help="check the planner's choice for collisions (default: with it)",
     )
-    sub.add_argument("--scenes", choices=("k2", "novel"), default="novel", help="(default: novel)")
+    sub.add_argument(
+        "--scenes",
+        choices=("k2", "novel"),
+        default="novel",
+        help="training targets, or unseen scenes (default)",
+    )
     sub.add_argument("--obstacles", type=_natural, metavar="N", help="on the way to each target")
     sub.add_argument("--episodes", type=_count, metavar="N", help="how many scenes")
     sub.add_argument(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from defplan_mj.cli.console import table
+from defplan_mj.planning.outcome import SCENES
 
 
 def run_text(data: dict[str, Any]) -> str:
@@ -13,8 +14,9 @@ def run_text(data: dict[str, Any]) -> str:
     stages = ", ".join(f"{name} {value:.1f}" for name, value in seconds.items() if name != "total")
     rows = []
     for scenes, result in data["evaluation"].items():
-        rows.append([f"{scenes}, with shield", *_evaluation_row(result)])
-        rows.append([f"{scenes}, without", *_evaluation_row(result["without_shield"])])
+        label = SCENES.get(scenes, scenes)
+        rows.append([f"{label}, with shield", *_evaluation_row(result)])
+        rows.append([f"{label}, without", *_evaluation_row(result["without_shield"])])
     columns = ["scenes", *_EVALUATION_COLUMNS]
     return "\n\n".join(
         [
@@ -34,7 +36,7 @@ def _moving_text(rows: list[dict[str, Any]]) -> list[str]:
         return []
     columns = ["obstacles, m/s", *_EVALUATION_COLUMNS]
     text = [[f"{row['speed']:g}", *_evaluation_row(row)] for row in rows]
-    return [table(columns, text, "K2 with shield, among moving obstacles")]
+    return [table(columns, text, "Training targets with shield, among moving obstacles")]
 
 
 def gait_text(data: dict[str, Any]) -> str:

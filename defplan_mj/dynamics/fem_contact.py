@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from defplan_mj.base import rotations
 from defplan_mj.body.model import Body
-from defplan_mj.dynamics.terrain import HEADER, PER_GEOM, TYPES, Terrain, pack_terrain
+from defplan_mj.dynamics.terrain import Terrain, contact_law, pack_terrain
 from defplan_mj.kernel.library import kernel
 
 ROUNDING = 0.1  # eps: how round psi is where it would pull; as in kernel/contact_law.c
@@ -28,17 +29,16 @@ class FemContact:
         """Prepare the terrain; b is its damping, s/m."""
         self.surface, self.vertices = body.surface, len(body.vertices)
         self.packed = pack_terrain(terrain, body)
-        self.friction, self.stiffness, self.thickness, self.slip = self.packed[1:5]
-        self.damping = self.packed[14]
-        geoms = self.packed[HEADER : HEADER + PER_GEOM * len(terrain.geoms)].reshape(-1, PER_GEOM)
-        level = terrain.heightfield is None and (geoms[:, 0] == TYPES["plane"]).all()
-        self._planes = geoms if level and len(geoms) else None
+        law = contact_law(terrain, body)
+        self.friction, self.stiffness, self.thickness = law.friction, law.stiffness, law.thickness
+        self.slip, self.damping = law.slip_speed, law.damping
+        self._planes = _planes(terrain)
 
     def gaps(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return distances (m,) of points (m, 3) from the terrain, m, and its normals (m, 3)."""
         if self._planes is not None:
-            normals = self._planes[:, [9, 12, 15]]  # third columns of the rotations
-            gaps = points @ normals.T - (self._planes[:, 4:7] * normals).sum(1)
+            places, normals = self._planes
+            gaps = points @ normals.T - (places * normals).sum(1)
             nearest = gaps.argmin(1)
             return gaps[np.arange(len(points)), nearest], normals[nearest]
         gap, found = kernel().dp_terrain_gap, np.empty_like(points)
@@ -126,6 +126,15 @@ class HeldContact:
         v -= (v * self.normal).sum(1, keepdims=True) * self.normal
         speed = np.sqrt((v**2).sum(1) + law.slip**2)
         return energy + self.time * float(self.limit @ (speed - law.slip))
+
+
+def _planes(terrain: Terrain) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return points (g, 3) and normals (g, 3) of a terrain of planes alone, else None."""
+    shapes = {geom.shape for geom in terrain.geoms}
+    if terrain.heightfield is not None or shapes != {"plane"}:
+        return None
+    turned = rotations.matrix(np.array([geom.quaternion for geom in terrain.geoms]))
+    return np.array([geom.position for geom in terrain.geoms], float), turned[:, :, 2]
 
 
 def _outer(v: np.ndarray) -> np.ndarray:

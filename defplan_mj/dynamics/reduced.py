@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,9 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.feet import Feet, pack_feet
 from defplan_mj.dynamics.terrain import Terrain, pack_terrain
+from defplan_mj.kernel.contact_points import contact_points
 from defplan_mj.kernel.library import Info, Model, kernel
-from defplan_mj.kernel.pack import pack_body, pack_options, stepping_of
+from defplan_mj.kernel.pack import Options, pack_body, pack_options
 
 _CALM_STEPS, _CALM_TIMESTEP = 4000, 0.2  # to settle on the terrain; s
 
@@ -76,7 +77,8 @@ class ReducedDynamics:
         """
         self.body, self.terrain, self.feet = body, terrain, feet
         self.blob = pack_body(body)
-        self.par = pack_options(body, timestep, tolerance, max_newton, substeps, integrator)
+        self.options = Options(timestep, tolerance, max_newton, substeps, integrator)
+        self.par = pack_options(body, self.options)
         self._lib = kernel()
         self.model = Model(
             self.blob,
@@ -93,13 +95,12 @@ class ReducedDynamics:
 
     def __reduce__(self) -> tuple:
         """Pickle as the body and the options; the kernel's arrays are laid out anew."""
-        options = self.timestep, self.terrain, self.feet, float(self.par[8]), int(self.par[9])
-        return _restore, ((self.body, *options), self.stepping)
+        return _restore, (self.body, self.terrain, self.feet, self.options)
 
     @property
     def timestep(self) -> float:
         """Time step, s."""
-        return float(self.par[0])
+        return self.options.timestep
 
     @property
     def nu(self) -> int:
@@ -114,17 +115,17 @@ class ReducedDynamics:
     @property
     def substeps(self) -> int:
         """Substeps in a control step."""
-        return int(self.par[10])
+        return self.options.substeps
 
     @property
     def integrator(self) -> str:
         """Name of the integrator."""
-        return str(self.stepping["integrator"])
+        return self.options.integrator
 
     @property
     def stepping(self) -> dict[str, Any]:
         """'substeps' and 'integrator', as they are given to this class."""
-        return stepping_of(self.par)
+        return self.options.stepping
 
     def rest_state(self) -> np.ndarray:
         """Return the state at rest, (nx,): at the origin, or standing on the terrain at x = y = 0.
@@ -170,7 +171,7 @@ class ReducedDynamics:
 
     def _height(self) -> float:
         """Return the height at which the undeformed body just touches the terrain."""
-        x, n = self._undeformed(), int(self.blob[10])
+        x, n = self._undeformed(), len(contact_points(self.body))
         points, forces, gaps = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
         low, high = -1e3, 1e3
         for _ in range(60):
@@ -286,7 +287,7 @@ class ReducedDynamics:
 
     def contacts(self, x: np.ndarray) -> Contacts:
         """Return what touches the terrain in `x`, with the forces of the step that led to it."""
-        n = int(self.blob[10])
+        n = len(contact_points(self.body))
         points, forces, gaps = np.empty((n, 3)), np.zeros((n, 3)), np.empty(n)
         if self.terrain is None:
             return Contacts(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0, int))
@@ -296,11 +297,7 @@ class ReducedDynamics:
 
     def with_feet(self, feet: Feet) -> ReducedDynamics:
         """Return the same dynamics with given forces on `feet` in the place of contact."""
-        timestep, tolerance, newton = self.par[0], self.par[8], int(self.par[9])
-        return ReducedDynamics(
-            *(self.body, timestep, None, feet, tolerance, newton),
-            **self.stepping,
-        )
+        return _restore(self.body, None, feet, self.options)
 
     def step_forced(self, x: np.ndarray, u: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Like `step`, with the target shape `u` (r,) and the forces on the feet (n_feet, 3), N."""
@@ -346,6 +343,8 @@ class ReducedDynamics:
         return u
 
 
-def _restore(arguments: tuple, stepping: dict[str, Any]) -> ReducedDynamics:
-    """Return the dynamics that were pickled."""
-    return ReducedDynamics(*arguments, **stepping)
+def _restore(
+    body: Body, terrain: Terrain | None, feet: Feet | None, options: Options
+) -> ReducedDynamics:
+    """Return the dynamics of given options."""
+    return ReducedDynamics(body, terrain=terrain, feet=feet, **asdict(options))

@@ -103,11 +103,30 @@ def _tuple(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:
-    """Return the kernel's array for contact of `body` with `terrain` (kernel/terrain.c).
+@dataclass(frozen=True)
+class ContactLaw:
+    """The numbers of a terrain's contact for a body; see `Terrain` for the force.
+
+    Attributes:
+        friction: mu.
+        stiffness: k, N/m^2.
+        thickness: d, m.
+        slip_speed: e, m/s.
+        damping: b, s/m.
+    """
+
+    friction: float
+    stiffness: float
+    thickness: float
+    slip_speed: float
+    damping: float
+
+
+def contact_law(terrain: Terrain, body: Body) -> ContactLaw:
+    """Return the contact of `body` with `terrain`, with what the terrain leaves to the body filled in.
 
     Raises:
-        DefplanError: something about the terrain cannot be.
+        DefplanError: a number of it cannot be.
     """
     thickness = 0.01 * body.length if terrain.thickness is None else terrain.thickness
     if not 0.0 < thickness < np.inf:
@@ -117,19 +136,28 @@ def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:
     for name, value in (("stiffness", stiffness), ("slip_speed", terrain.slip_speed)):
         if not 0.0 < value < np.inf:
             raise DefplanError(f"the terrain's {name} is {value}: it must be positive")
+    for name, value in (("friction", terrain.friction), ("damping", terrain.damping)):
+        if not 0.0 <= value < np.inf:
+            raise DefplanError(f"the terrain's {name} is {value}: it must not be negative")
+    return ContactLaw(terrain.friction, stiffness, thickness, terrain.slip_speed, terrain.damping)
+
+
+def pack_terrain(terrain: Terrain, body: Body) -> np.ndarray:
+    """Return the kernel's array for contact of `body` with `terrain` (kernel/terrain.c).
+
+    Raises:
+        DefplanError: something about the terrain cannot be.
+    """
+    law = contact_law(terrain, body)
     if len(terrain.geoms) > MOST_GEOMS:
         raise DefplanError(
             f"the terrain has {len(terrain.geoms)} geoms: at most {MOST_GEOMS} can be"
         )
     if not terrain.geoms and terrain.heightfield is None:
         raise DefplanError("the terrain has neither geoms nor a heightfield: leave it out")
-    if not 0.0 <= terrain.friction < np.inf:
-        raise DefplanError(f"the terrain's friction is {terrain.friction}: it must not be negative")
     header = np.zeros(HEADER)
-    if not 0.0 <= terrain.damping < np.inf:
-        raise DefplanError(f"the terrain's damping is {terrain.damping}: it must not be negative")
-    header[14] = terrain.damping
-    header[1:6] = terrain.friction, stiffness, thickness, terrain.slip_speed, len(terrain.geoms)
+    header[1:6] = law.friction, law.stiffness, law.thickness, law.slip_speed, len(terrain.geoms)
+    header[14] = law.damping
     parts = [header, *(_pack_geom(geom) for geom in terrain.geoms)]
     field = terrain.heightfield
     if field is not None:

@@ -9,7 +9,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.feet import MAX_FEET, Feet
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.dynamics.terrain import GROUND, pack_terrain
+from defplan_mj.dynamics.terrain import GROUND, contact_law
 from defplan_mj.gait.footing import SOLE
 from defplan_mj.kernel.contact_points import contact_points
 
@@ -33,11 +33,11 @@ class Sliding:
         feet = [Feet(tuple(group[:, None])) for group in groups]
         self._places = [CasadiDynamics(dynamics.with_feet(some)).feet for some in feet]
         weight = body.mass * abs(body.medium.gravity)
-        _, _, stiffness, thickness, slip_speed = pack_terrain(terrain, body)[:5]
+        law = contact_law(terrain, body)
         before, after = ca.SX.sym("before", 3), ca.SX.sym("after", 3)
-        load = stiffness * ca.fmax(0, thickness - after[2]) ** 2 / weight
+        load = law.stiffness * ca.fmax(0, law.thickness - after[2]) ** 2 / weight
         moved = ca.sumsqr((after - before)[:2])
-        path = load * moved / ca.sqrt(moved + (slip_speed * dynamics.timestep) ** 2)
+        path = load * moved / ca.sqrt(moved + (law.slip_speed * dynamics.timestep) ** 2)
         self._path = ca.Function("path", [before, after], [path])
 
     def path(self, x: ca.MX) -> ca.MX:

@@ -21,6 +21,7 @@ from defplan_mj.feedback import Feedback, OpenLoop
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.planning.outcome import Outcome
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.task import Navigation
 
@@ -46,7 +47,7 @@ class Navigate(base.Task):
 
     Attributes:
         scene: of this episode; setting it takes effect at the next reset.
-        outcome: 'running', 'success', 'collision', 'fall' or 'timeout'.
+        outcome: of the episode, RUNNING until it is over.
         cycles: gait cycles begun in this episode.
         closest: smallest clearance of this episode, m, at most 1.
         step_hook: called with the physics and the target shape (r,) after every physics step.
@@ -76,7 +77,7 @@ class Navigate(base.Task):
         """
         super().__init__(random=random)
         self.gait = gait
-        self.outcome = "running"
+        self.outcome = Outcome.RUNNING
         self.cycles = 0
         self.closest = 1.0
         self.step_hook: StepHook | None = None
@@ -112,7 +113,7 @@ class Navigate(base.Task):
         mujoco.mju_mulQuat(state[3:7], attitude, self._rest[3:7])
         physics.set_reduced_state(state)
         self._feedback.reset()
-        self.outcome = "running"
+        self.outcome = Outcome.RUNNING
         self.cycles = 0
         self.closest = 1.0
         self._before = physics.com()
@@ -145,14 +146,14 @@ class Navigate(base.Task):
         clearance = physics.clearance()
         self.closest = min(self.closest, clearance)
         if clearance < 0:
-            self.outcome = "collision"
+            self.outcome = Outcome.COLLISION
         elif self.distance(physics) <= self._here().goal_radius:
-            self.outcome = "success"
+            self.outcome = Outcome.SUCCESS
         elif physics.walks and self._fallen(physics):
-            self.outcome = "fall"
+            self.outcome = Outcome.FALL
         if self.step_hook is not None:
             self.step_hook(physics, target_shape)
-        return self.outcome != "running"
+        return self.outcome != Outcome.RUNNING
 
     def _fallen(self, physics: Physics) -> bool:
         return physics.upright() < _LEAN or physics.height() < _SUNK * self._standing
@@ -160,8 +161,8 @@ class Navigate(base.Task):
     def after_step(self, physics: Physics) -> None:
         """Time out after the scene's number of cycles."""
         late = self.cycles >= self._here().max_cycles or physics.time() >= self._time_limit
-        if self.outcome == "running" and late:
-            self.outcome = "timeout"
+        if self.outcome == Outcome.RUNNING and late:
+            self.outcome = Outcome.TIMEOUT
 
     def distance(self, physics: Physics) -> float:
         """Return the distance of the centre of mass from the target, m; see `Navigate`."""
@@ -177,14 +178,14 @@ class Navigate(base.Task):
     def get_reward(self, physics: Physics) -> float:
         """Return Eq. 2: |c_i - T|^2 - |c_{i+1} - T|^2 - 1000 coll, of the cycle just done."""
         before, after = self._offset(self._before), self._offset(physics.com())
-        collision = COLLISION_PENALTY if self.outcome == "collision" else 0.0
+        collision = COLLISION_PENALTY if self.outcome == Outcome.COLLISION else 0.0
         return float(before @ before - after @ after - collision)
 
     def get_termination(self, physics: Physics) -> float | None:
         """Return the last discount: 1 at a timeout, 0 at another end; None if not over."""
-        if self.outcome == "running":
+        if self.outcome == Outcome.RUNNING:
             return None
-        return 1.0 if self.outcome == "timeout" else 0.0
+        return 1.0 if self.outcome == Outcome.TIMEOUT else 0.0
 
     def get_observation(self, physics: Physics) -> collections.OrderedDict[str, np.ndarray]:
         """Return 'state', 'target' and 'laser', see `reduced_observation`."""

@@ -17,9 +17,9 @@ from defplan_mj.host.ground import height_above
 from defplan_mj.host.laser import SceneView
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.plugin import load_plugin
-from defplan_mj.host.scene import ROBOT, TARGET, TERRAIN, text_of
+from defplan_mj.host.scene import ROBOT, TARGET, TERRAIN, LaserNumbers, text_of
 from defplan_mj.kernel.library import kernel
-from defplan_mj.kernel.pack import stepping_of
+from defplan_mj.kernel.pack import unpack_options
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.sensors.sensor import sensor_of
 from defplan_mj.task import Navigation
@@ -47,7 +47,7 @@ class Physics(engine.Physics):
     @property
     def stepping(self) -> dict[str, Any]:
         """'substeps' and 'integrator' of the reduced dynamics."""
-        return stepping_of(self._numeric("defplan_options"))
+        return unpack_options(self._numeric("defplan_options")).stepping
 
     # ---- the reduced state
 
@@ -59,7 +59,7 @@ class Physics(engine.Physics):
     @property
     def place(self) -> Space:
         """The space itself."""
-        return OF_DIMENSION[int(self._numeric("laser")[2])]
+        return OF_DIMENSION[int(self._laser_numbers().dimension)]
 
     @property
     def n_modes(self) -> int:
@@ -171,7 +171,7 @@ class Physics(engine.Physics):
 
     def laser_range(self) -> float:
         """Return the range of the laser, m."""
-        return float(self._numeric("laser")[1])
+        return float(self._laser_numbers().range)
 
     def laser(self) -> np.ndarray:
         """Return what the robot's sensor measures (size,): the distances along a laser's beams, m."""
@@ -182,10 +182,12 @@ class Physics(engine.Physics):
 
     def _sensing(self) -> Navigation:
         """Return what the model says of the sensor."""
-        beams, laser_range, _ = self._numeric("laser").tolist()
-        sensor = text_of(self.model.ptr, "sensor")
+        numbers = self._laser_numbers()
         return Navigation(
-            beams=int(beams), laser_range=laser_range, space=self.space, sensor=sensor
+            beams=int(numbers.beams),
+            laser_range=float(numbers.range),
+            space=self.space,
+            sensor=text_of(self.model.ptr, "sensor"),
         )
 
     # ---- acting
@@ -224,6 +226,9 @@ class Physics(engine.Physics):
     def _numeric(self, name: str) -> np.ndarray:
         model = self.model.ptr
         return model.numeric(name).data
+
+    def _laser_numbers(self) -> LaserNumbers:
+        return LaserNumbers(*self._numeric("laser"))
 
     def _blob(self) -> np.ndarray:
         return self._numeric("defplan_body")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -18,7 +18,7 @@ from defplan_mj.host.ground import add_terrain
 from defplan_mj.host.looks import DRAWN_HALF_HEIGHT, DRAWN_HEIGHT, LOOKS, Look
 from defplan_mj.host.plugin import NAME as PLUGIN
 from defplan_mj.host.plugin import load_plugin
-from defplan_mj.kernel.pack import pack_body, pack_options
+from defplan_mj.kernel.pack import Options, pack_body, pack_options
 
 ROBOT = "robot"
 ROOT = "root"
@@ -31,6 +31,14 @@ SOLID_HALF_HEIGHT = (
 PARKED = (0.0, 0.0, -100.0)  # m, where unused obstacles wait
 # Geom groups, as is usual in MuJoCo: what is drawn, and what is touched and seen by the laser.
 DECOR_GROUP, SOLID_GROUP = 2, 3
+
+
+class LaserNumbers(NamedTuple):
+    """What the model's numeric 'laser' holds: beams, range in m, dimension of the space."""
+
+    beams: float
+    range: float
+    dimension: float
 
 
 def build_spec(
@@ -82,8 +90,8 @@ def build_spec(
         _add_sea_bed(spec)
     _add_robot(spec, body, timestep, normalised_controls, LOOKS[space], stepping)
     skin.add_skin(spec, body, ROBOT, "self", texture)
-    dimension = SPACES[space].dimension
-    spec.add_numeric(name="laser", data=[float(beams), laser_range, float(dimension)])
+    dimension = float(SPACES[space].dimension)
+    spec.add_numeric(name="laser", data=LaserNumbers(float(beams), laser_range, dimension))
     if sensor:
         spec.add_text(name="sensor", data=sensor)
     # a site away from its body's origin: one compiled at the origin could not be moved
@@ -127,7 +135,7 @@ def _add_robot(
     """Add the free joint, the modal slide joints, their actuators, the plugin and its data."""
     amplitude = np.asarray(body.amplitude, float)
     spec.add_numeric(name="defplan_body", data=pack_body(body))
-    spec.add_numeric(name="defplan_options", data=pack_options(body, timestep, **stepping))
+    spec.add_numeric(name="defplan_options", data=pack_options(body, Options(timestep, **stepping)))
     scale = amplitude if normalised else np.ones(body.n_modes)
     spec.add_numeric(name="defplan_scale", data=scale)
     spec.add_text(name="body_hash", data=body.hash)

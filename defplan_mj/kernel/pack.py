@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -91,46 +92,75 @@ INTEGRATORS = {"variational": 0.0, "implicit-euler": 1.0}  # kernel.h: DP_INTEGR
 MAX_SUBSTEPS = 64
 
 
-def pack_options(
-    body: Body,
-    timestep: float,
-    tolerance: float = 1e-7,
-    max_newton: int = 60,
-    substeps: int = 2,
-    integrator: str = "variational",
-) -> np.ndarray:
-    """Return the kernel's options (kernel.h: DP_*) for `body` at `timestep` (s).
+@dataclass(frozen=True)
+class Options:
+    """How the kernel takes a control step.
 
-    `tolerance` bounds the last Newton step that is still followed by no other (m, rad, units of q);
-    convergence is quadratic, so the state is then exact to about its square.
+    Attributes:
+        timestep: of a control step, s.
+        tolerance: bounds the last Newton step that is still followed by no other (m, rad, units of
+            q); convergence is quadratic, so the state is then exact to about its square.
+        max_newton: iterations of a solve, at most.
+        substeps: of the integrator in a control step.
+        integrator: one of INTEGRATORS.
+    """
+
+    timestep: float
+    tolerance: float = 1e-7
+    max_newton: int = 60
+    substeps: int = 2
+    integrator: str = "variational"
+
+    def check(self) -> None:
+        """Raise a DefplanError if there is no such integrator, or one of the numbers makes no sense."""
+        if self.integrator not in INTEGRATORS:
+            known = " or ".join(INTEGRATORS)
+            raise DefplanError(f"there is no integrator {self.integrator!r}: take {known}")
+        if not 1 <= self.substeps <= MAX_SUBSTEPS or self.substeps != int(self.substeps):
+            raise DefplanError(
+                f"substeps is {self.substeps}: it must be a whole number between 1 and {MAX_SUBSTEPS}"
+            )
+        if not 0.0 < self.timestep < 1e6:
+            raise DefplanError(f"the time step is {self.timestep} s: it must be positive")
+        if not 0.0 < self.tolerance < np.inf:
+            raise DefplanError(f"the tolerance is {self.tolerance}: it must be positive")
+        if not 1 <= self.max_newton < np.inf or self.max_newton != int(self.max_newton):
+            raise DefplanError(
+                f"max_newton is {self.max_newton}: it must be a whole number from 1 on"
+            )
+
+    @property
+    def stepping(self) -> dict[str, Any]:
+        """'substeps' and 'integrator', which gaits and logs hold beside the time step."""
+        return {"substeps": self.substeps, "integrator": self.integrator}
+
+
+def pack_options(body: Body, options: Options) -> np.ndarray:
+    """Return the kernel's numbers (kernel.h: DP_*) of the options and of the body's surroundings.
 
     Raises:
-        DefplanError: there is no such integrator, or one of the numbers makes no sense.
+        DefplanError: see `Options.check`.
     """
-    if integrator not in INTEGRATORS:
-        known = " or ".join(INTEGRATORS)
-        raise DefplanError(f"there is no integrator {integrator!r}: take {known}")
-    if not 1 <= substeps <= MAX_SUBSTEPS or substeps != int(substeps):
-        raise DefplanError(
-            f"substeps is {substeps}: it must be a whole number between 1 and {MAX_SUBSTEPS}"
-        )
-    if not 0.0 < timestep < 1e6:
-        raise DefplanError(f"the time step is {timestep} s: it must be positive")
-    if not 0.0 < tolerance < np.inf:
-        raise DefplanError(f"the tolerance is {tolerance}: it must be positive")
-    if not 1 <= max_newton < np.inf or max_newton != int(max_newton):
-        raise DefplanError(f"max_newton is {max_newton}: it must be a whole number from 1 on")
+    options.check()
     medium, material = body.medium, body.material
     return np.array(
         [
-            *(timestep, medium.density, medium.drag_normal, medium.drag_tangential),
+            *(options.timestep, medium.density, medium.drag_normal, medium.drag_tangential),
             *(material.control_stiffness, material.damping, medium.gravity, medium.righting_height),
-            *(tolerance, float(max_newton), float(substeps), INTEGRATORS[integrator]),
+            *(options.tolerance, float(options.max_newton), float(options.substeps)),
+            INTEGRATORS[options.integrator],
         ]
     )
 
 
-def stepping_of(par: np.ndarray) -> dict[str, Any]:
-    """Return 'substeps' and 'integrator' of the kernel's options."""
-    integrator = next(name for name, value in INTEGRATORS.items() if value == par[11])
-    return {"substeps": int(par[10]), "integrator": integrator}
+def unpack_options(packed: np.ndarray) -> Options:
+    """Return the options of `pack_options`."""
+    tolerance, max_newton, substeps, integrator = packed[8:12]
+    names = {number: name for name, number in INTEGRATORS.items()}
+    return Options(
+        timestep=float(packed[0]),
+        tolerance=float(tolerance),
+        max_newton=int(max_newton),
+        substeps=int(substeps),
+        integrator=names[float(integrator)],
+    )

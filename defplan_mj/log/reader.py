@@ -77,7 +77,7 @@ class EpisodeLog:
     Attributes:
         path: where it was read from.
         fault: '' if the log is whole, else what is wrong with it, as half a sentence.
-        outcome: 'success', 'collision', 'timeout', or '' if the log does not hold the end.
+        outcome: one of `planning.outcome.ENDINGS`, or '' if the log does not hold the end.
         reason: why, for people.
         task, seed: what was run.
         body_hash: of the body that moved.

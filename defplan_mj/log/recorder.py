@@ -17,7 +17,7 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
 import defplan_mj
-from defplan_mj.base import rotations
+from defplan_mj.base import files, rotations
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.log import channels, schemas, wire
@@ -152,7 +152,7 @@ class Recorder:
             )
             self._writer.add_metadata(schemas.VERSIONS_RECORD, versions())
             self._writer.add_metadata(
-                schemas.CONFIGURATION_RECORD, {"json": json.dumps(configuration, default=_plain)}
+                schemas.CONFIGURATION_RECORD, {"json": json.dumps(configuration, default=_named)}
             )
             for name, data in self._files.attachments.items():
                 self._writer.add_attachment(0, 0, name, "application/octet-stream", data)
@@ -248,7 +248,7 @@ class Recorder:
         """Write how the episode ended, close the log and give it its final name.
 
         Args:
-            outcome: 'success', 'collision' or 'timeout'.
+            outcome: one of `planning.outcome.ENDINGS`.
             reason: a sentence, for people.
         """
         self._close({"outcome": outcome, "reason": reason})
@@ -380,12 +380,6 @@ def _ns(time: float) -> int:
     return round(time * 1e9)
 
 
-def _plain(value: Any) -> Any:
-    """Make NumPy values, dataclasses and paths JSON-able."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return dataclasses.asdict(value)
-    if isinstance(value, Path):
-        return value.name  # a log is read elsewhere: where the file lay here says nothing
-    raise TypeError(f"{type(value).__name__} in a log's configuration")
+def _named(value: Any) -> Any:
+    """Return a path's name, as a log is read elsewhere; of other values what JSON can hold."""
+    return value.name if isinstance(value, Path) else files.plain(value)

@@ -14,6 +14,7 @@ import numpy as np
 
 from defplan_mj.base import threads
 from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.planning.outcome import ENDINGS, Outcome
 from defplan_mj.planning.planner import Planner
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.shield import Shield
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from defplan_mj.gait.gait import Gait
     from defplan_mj.planning.surrogate import Surrogate
 
-OUTCOMES = ("success", "collision", "fall", "timeout")
 PARALLEL_FROM = 16  # episodes; fewer are done before a second process has started
 
 
@@ -67,7 +67,7 @@ class Episode:
 
     Attributes:
         index: of the scene.
-        outcome: 'success', 'collision', 'fall' (of a robot that walks) or 'timeout'.
+        outcome: one of `planning.outcome.ENDINGS`.
         cycles: gait cycles begun.
         seconds: simulated time, s.
         distance: from the target at the end, m.
@@ -114,13 +114,13 @@ class EvaluationResult:
     def to_json(self) -> dict[str, Any]:
         """Return rates, their 95% intervals and every episode as plain data."""
         n = len(self.episodes)
-        good = [episode for episode in self.episodes if episode.outcome == "success"]
+        good = [episode for episode in self.episodes if episode.outcome == Outcome.SUCCESS]
         decisions = [episode.decision for episode in self.episodes]
         return {
             "episodes": n,
-            **{outcome: self.rate(outcome) for outcome in OUTCOMES},
+            **{outcome: self.rate(outcome) for outcome in ENDINGS},
             "interval": {
-                outcome: list(wilson_interval(self.count(outcome), n)) for outcome in OUTCOMES
+                outcome: list(wilson_interval(self.count(outcome), n)) for outcome in ENDINGS
             },
             "cycles_mean": float(np.mean([e.cycles for e in good])) if good else None,
             "decision_ms": 1e3 * float(np.median(decisions)),
@@ -170,7 +170,7 @@ def run_episode(
         )
     reward = path = tilt = thinking = moving = 0.0
     try:
-        while task.outcome == "running":
+        while task.outcome == Outcome.RUNNING:
             at, x, laser = physics.time(), physics.reduced_state(), observation["laser"]
             begun = time.perf_counter()
             values = planner.values(observation)
@@ -320,12 +320,12 @@ def _environment(
     return _environments[key]
 
 
-def _reason(outcome: str, cycles: int, distance: float) -> str:
+def _reason(outcome: Outcome, cycles: int, distance: float) -> str:
     """Return how an episode ended, for people."""
     what = {
-        "success": "reached the target",
-        "collision": "touched an obstacle",
-        "fall": "fell",
-        "timeout": "ran out of time",
+        Outcome.SUCCESS: "reached the target",
+        Outcome.COLLISION: "touched an obstacle",
+        Outcome.FALL: "fell",
+        Outcome.TIMEOUT: "ran out of time",
     }[outcome]
     return f"{what} after {cycles} cycles, {distance:.2f} m from its centre"

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from defplan_mj.planning.frames import angles, attitude_frames, renewed, turns
+from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS, TIMEOUT
 from defplan_mj.planning.scenes import SceneBatch
 from defplan_mj.planning.sensors.sensor import sensor_of
 from defplan_mj.planning.surrogate import Motions, Surrogate
 from defplan_mj.task import Navigation
 
-RUNNING, SUCCESS, COLLISION, TIMEOUT = range(4)
 COLLISION_PENALTY = 1000.0
 """The paper's penalty of a collision in Eq. 2."""
 
@@ -100,7 +100,7 @@ class Transition:
         final_laser, final_target: the same before any reset: what the cycle led to.
         progress: (n,) distance to the target that the cycle gained, m.
         reward: (n,) Eq. 2.
-        outcome: (n,) RUNNING, SUCCESS, COLLISION or TIMEOUT.
+        outcome: (n,) RUNNING, SUCCESS, COLLISION or TIMEOUT (`planning.outcome`).
     """
 
     laser: np.ndarray

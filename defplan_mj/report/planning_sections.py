@@ -10,6 +10,7 @@ from defplan_mj.log.compare import DRIFT_COLUMNS, compare_logs
 from defplan_mj.log.compare_plot import comparison_figures
 from defplan_mj.log.reader import EpisodeLog
 from defplan_mj.planning.evaluation import wilson_interval
+from defplan_mj.planning.outcome import ENDINGS, SCENES
 from defplan_mj.report.content import (
     Figures,
     Missing,
@@ -33,7 +34,6 @@ from defplan_mj.report.sections import missing
 from defplan_mj.report.views import PICTURES
 
 MANY = 6  # episodes that call for an overview
-OUTCOMES = ("success", "collision", "fall", "timeout")  # those that an evaluation knows are shown
 
 
 def training_section(material: Material) -> Section:
@@ -46,7 +46,7 @@ def training_section(material: Material) -> Section:
     section.blocks.append(
         Figures(
             [drawing(figure) for figure in drawn],
-            "Training on the surrogate: reward of the K2 episodes at each checkpoint, mean (red) "
+            "Training on the surrogate: reward at the training targets at each checkpoint, mean (red) "
             "within minimum and maximum (grey), as in the paper's Fig. 5 (the lower edge rises when "
             "collisions end); and the share of episodes that reach their target.",
         )
@@ -60,7 +60,7 @@ def evaluations(document: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str
     """Yield label and content of every evaluation in a JSON document, however it is nested."""
     if isinstance(document, dict):
         if "episodes" in document and "success" in document:
-            yield ", ".join(path).replace("_", " ").replace("k2", "K2"), document
+            yield ", ".join(SCENES.get(name, name.replace("_", " ")) for name in path), document
             return
         for name, inner in document.items():
             yield from evaluations(inner, (*path, name))
@@ -73,7 +73,8 @@ def success_section(material: Material) -> Section:
     if not found:
         section.blocks.append(missing(material, "evaluation.json"))
         return section
-    outcomes = [name for name in OUTCOMES if any(name in result for _, result in found)]
+    # an evaluation of an older version does not know all of them
+    outcomes = [name for name in ENDINGS if any(name in result for _, result in found)]
     rows = [
         [
             label,
@@ -95,8 +96,8 @@ def success_section(material: Material) -> Section:
             columns,
             rows,
             "Episodes on the reduced dynamics in the MuJoCo scene, contact checked at every physics "
-            "step; in brackets the 95% interval (Wilson's). 'K2' are the training targets, 'novel' "
-            "ones were never seen; the shield vetoes gaits that have no collision-free continuation "
+            "step; in brackets the 95% interval (Wilson's). Unseen scenes had no say in the training; the "
+            "collision check (shield) vetoes gaits that have no collision-free continuation "
             "in the laser's points. Cycles: mean of the successful episodes. × real time: simulated "
             "seconds per second of decision and physics, in one process.",
         ),
@@ -106,8 +107,8 @@ def success_section(material: Material) -> Section:
         section.blocks.append(
             drawing(
                 moving_figure(moving),
-                f"K2 episodes with the shield, {moving[0]['episodes']} a speed, among obstacles that "
-                "move, each in its own random direction, as in the paper's Fig. 6; the planner was "
+                f"Training targets with the shield, {moving[0]['episodes']} episodes a speed, among "
+                "obstacles that move, each in its own random direction, as in the paper's Fig. 6; the planner was "
                 "trained among still ones and sees no speeds.",
             )
         )

@@ -127,7 +127,7 @@ def command(material: Material) -> str:
     config = material.config
     words = ["defplan", "run", material.task, "--seed", str(config.get("seed", 0))]
     for name in config.get("rivals") or ():
-        words += ["--rival", str(name)]
+        words += ["--compare-with", str(name)]
     for option in ("gait_solver", "planner", "solver_seeds", "pairs", "episodes", "moving"):
         if config.get(option) is not None:
             words += [f"--{option.replace('_', '-')}", str(config[option])]

@@ -197,7 +197,7 @@ def _gait_tables(material: Material) -> list[Block]:
             "until its gaits are simulated again, step by step: the objective then; while gaits are "
             "switched at random, the advance a cycle of the gaits that are to go farthest, the turn "
             "a cycle of those that are to turn, what loaded feet slide per metre walked, and the "
-            "cycles that are lost as said above, with their 95% interval (Wilson's)."
+            "cycles that fail as said above, with their 95% interval (Wilson's)."
         )
         blocks.append(Table(SOLVER_COLUMNS, solvers, caption))
         failed = [solver for solver in material.solvers if "error" in solver]
@@ -215,7 +215,7 @@ SOLVER_COLUMNS = (
     "advance (m)",
     "turn (rad)",
     "slip (m/m)",
-    "lost cycles",
+    "failed cycles",
 )
 
 
@@ -227,10 +227,10 @@ def solver_rows(solvers: Sequence[dict[str, Any]]) -> list[list[str]]:
         if not mine:
             continue
         falls, cycles = (sum(s.get(key, 0) for s in mine) for key in ("falls", "cycles"))
-        lost = f"{falls} of {cycles}"
+        failed = f"{falls} of {cycles}"
         if cycles:
             low, high = wilson_interval(falls, cycles)
-            lost += f" ({100 * low:.1f}–{100 * high:.1f}%)"
+            failed += f" ({100 * low:.1f}–{100 * high:.1f}%)"
         rows.append(
             [
                 name,
@@ -240,7 +240,7 @@ def solver_rows(solvers: Sequence[dict[str, Any]]) -> list[list[str]]:
                 _over_seeds(mine, "advance_m"),
                 _over_seeds(mine, "turn_rad"),
                 _over_seeds(mine, "slip_share", 2),
-                lost,
+                failed,
             ]
         )
     return rows

@@ -11,7 +11,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.feet import Feet, lowest_feet
-from defplan_mj.dynamics.terrain import GROUND, pack_terrain
+from defplan_mj.dynamics.terrain import GROUND, contact_law
 from defplan_mj.gait.problem import GaitProblem
 
 _WIDE = 0.3  # of the body's length: a foot that wide can tip, and is two
@@ -103,7 +103,7 @@ def walker_of(problem: GaitProblem) -> Walker:
     nearest = ((contacts.points[:, None] - places) ** 2).sum(2).argmin(1)
     carried = np.bincount(nearest, contacts.forces[:, 2], len(feet)) / contacts.forces[:, 2].sum()
     points = np.maximum(np.bincount(nearest, minlength=len(feet)), 1)
-    stiffness = pack_terrain(terrain, body)[2]
+    stiffness = contact_law(terrain, body).stiffness
     return Walker(
         step=symbolic.step_forced,
         feet=symbolic.feet,

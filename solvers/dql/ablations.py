@@ -16,9 +16,10 @@ import numpy as np
 from defplan_mj import registry
 from defplan_mj.base.progress import no_progress
 from defplan_mj.planning.observation import Senses
+from defplan_mj.planning.outcome import SUCCESS, TIMEOUT
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.planning.surrogate_env import SUCCESS, TIMEOUT, run_on_surrogate
+from defplan_mj.planning.surrogate_env import run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.dql.training import Recipe, train
 

@@ -14,10 +14,11 @@ from torch.nn import functional
 
 from defplan_mj.base.progress import Progress
 from defplan_mj.base.space import SPACES
+from defplan_mj.planning.outcome import SUCCESS
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes, training_scenes
 from defplan_mj.planning.sensors.laser import beam_directions, laser_of
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.planning.surrogate_env import SUCCESS, SurrogateEnv, run_on_surrogate
+from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.dql.paper import PaperConfiguration
 

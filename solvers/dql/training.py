@@ -17,6 +17,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from defplan_mj.base.progress import Progress
 from defplan_mj.planning.observation import Senses
+from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS, TIMEOUT
 from defplan_mj.planning.scenes import (
     SceneBatch,
     k2_scenes,
@@ -27,10 +28,6 @@ from defplan_mj.planning.scenes import (
 from defplan_mj.planning.shield import LEVELS
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import (
-    COLLISION,
-    RUNNING,
-    SUCCESS,
-    TIMEOUT,
     SurrogateEnv,
     SurrogateRuns,
     Transition,
