@@ -115,11 +115,11 @@ def get_solver(name: str, kind: str) -> Any:
 
 def _points(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of `group` by name; of two with one name, our own stays out."""
-    found: dict[str, EntryPoint] = {}
+    points: dict[str, EntryPoint] = {}
     for point in entry_points(group=group):
-        if point.name not in found or _package(found[point.name]) == "defplan":
-            found[point.name] = point
-    return found
+        if point.name not in points or _package(points[point.name]) == "defplan":
+            points[point.name] = point
+    return points
 
 
 def _package(point: EntryPoint) -> str:

@@ -84,7 +84,7 @@ def _attempt(run: Run, solver: Any, seed: int) -> dict[str, Any]:
                 run.gait if own else run.solve(solver, f"gait by {solver.name}, seed {seed}", seed)
             )
             seconds = run.seconds("gait") if own else time.perf_counter() - start
-            row |= measure(run.problem, gait, seconds)
+            row |= measure_solver(run.problem, gait, seconds)
         except DefplanError as error:  # of the solver, or its gait cannot be simulated
             row["error"] = str(error)
         else:
@@ -99,7 +99,7 @@ def _attempt(run: Run, solver: Any, seed: int) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def measure(problem: GaitProblem, gait: Gait, seconds: float) -> dict[str, Any]:
+def measure_solver(problem: GaitProblem, gait: Gait, seconds: float) -> dict[str, Any]:
     """Return how a solver's gait does once it is simulated; the same measure for every solver.
 
     Args:

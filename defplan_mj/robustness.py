@@ -66,7 +66,7 @@ def conditions(push: float) -> tuple[Condition, ...]:
 
 
 @dataclass(frozen=True)
-class Walk:
+class PerturbedWalk:
     """Cycles of gaits, switched at random, in one condition.
 
     Attributes:
@@ -135,14 +135,14 @@ def heavier(body: Body, factor: float) -> Body:
     )
 
 
-def walk(
+def perturbed_walk(
     dynamics: ReducedDynamics,
     gait: Gait,
     solver: FeedbackSolver,
     condition: Condition,
     cycles: int = 200,
     seed: int = 0,
-) -> Walk:
+) -> PerturbedWalk:
     """Switch gaits at random in a condition that the feedback is not told of.
 
     The feedback's model is `dynamics`. It is told the state relative to the ground, which the body feels under its
@@ -193,10 +193,10 @@ def walk(
             motion[cycle] = *moved[:2], heading(moved)
             counted[cycle] = since >= SETTLE
             since += 1
-    return Walk(task, fell, counted, motion, busy / steps)
+    return PerturbedWalk(task, fell, counted, motion, busy / steps)
 
 
-def measure(
+def measure_robustness(
     dynamics: ReducedDynamics,
     gait: Gait,
     solvers: Sequence[FeedbackSolver],
@@ -217,9 +217,11 @@ def measure(
     jobs = [(condition, solver) for condition in wanted for solver in solvers]
     workers = min(threads.available_cores(), 2)
     told = (dynamics.body, dynamics.timestep, dynamics.terrain, dynamics.stepping, gait)
-    walks: list[Walk] = []
+    walks: list[PerturbedWalk] = []
     with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
-        calls = (delayed(_walk)(told, solver, where, cycles, seed) for where, solver in jobs)
+        calls = (
+            delayed(_perturbed_walk)(told, solver, where, cycles, seed) for where, solver in jobs
+        )
         for one in Parallel(return_as="generator")(calls):
             where, solver = jobs[len(walks)]
             walks.append(one)
@@ -242,17 +244,17 @@ def measure(
     return rows
 
 
-def _walk(
+def _perturbed_walk(
     told: tuple[Body, float, Terrain | None, dict[str, Any], Gait],
     solver: FeedbackSolver,
     condition: Condition,
     cycles: int,
     seed: int,
-) -> Walk:
+) -> PerturbedWalk:
     """Walk in a process of its own."""
     body, timestep, terrain, stepping, gait = told
     dynamics = ReducedDynamics(body, timestep, terrain, **stepping)
-    return walk(dynamics, gait, solver, condition, cycles, seed)
+    return perturbed_walk(dynamics, gait, solver, condition, cycles, seed)
 
 
 def study(
@@ -280,7 +282,7 @@ def study(
     path, gait = run.folder.file(FILE), run.gait
 
     def make() -> Iterable[Path]:
-        found = measure(
+        found = measure_robustness(
             run.dynamics, gait, solvers, wanted, cycles, seed, run.progress("robustness")
         )
         document = {"task": spec.name, "seed": seed, "cycles": cycles, "rows": found}

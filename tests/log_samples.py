@@ -311,7 +311,10 @@ def record_swim(
     if feedback is not None:
         plays = feedback.prepare(ReducedDynamics(files.body, TIMESTEP, ground), files.gait)
     env = navigation_environment(
-        *(files.body, files.gait, navigation, lambda random: scene),
+        files.body,
+        files.gait,
+        navigation,
+        lambda random: scene,
         terrain=ground,
         feedback=plays,
     )

@@ -7,7 +7,13 @@ import pytest
 from body_meshes import bar, unreduced_body
 from scipy.linalg import expm
 
-from defplan_mj.body.rotation_strain import RotationStrain, deformation, exponential
+from defplan_mj.body.rotation_strain import (
+    RotationStrain,
+    affine_coordinates,
+    deformation,
+    exponential,
+    shape_coordinates,
+)
 from defplan_mj.body.tetmesh import TetMesh, volumes
 
 
@@ -91,3 +97,16 @@ def test_the_reconstruction_minimises_the_distance_of_gradients(body, exact):
         up, down = distance(best + change), distance(best - change)
         assert min(up, down) > distance(best)
         assert up == pytest.approx(down, rel=1e-6)  # the slope vanishes
+
+
+def test_reduced_coordinates_are_the_weighted_deformation_of_the_sampled_tetrahedra(small_fish):
+    q = 0.5 * np.random.default_rng(4).normal(size=(3, small_fish.n_modes))
+    for shape, z in zip(q, shape_coordinates(small_fish, q), strict=True):
+        parts = []
+        for x in small_fish.feature_map @ shape:
+            strain = x[[3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(3, 3)
+            parts.append((expm(_skew(x[:3])) @ (np.eye(3) + strain) - np.eye(3)).ravel())
+        np.testing.assert_allclose(
+            z, small_fish.feature_weights @ np.concatenate(parts), atol=1e-12
+        )
+    np.testing.assert_array_equal(affine_coordinates(small_fish, q)[:, 0], 1)

@@ -22,7 +22,7 @@ from defplan_mj.task import Weights as Objective
 from defplan_solvers.cio import newton as cio_newton
 from defplan_solvers.cio import solver as cio
 from defplan_solvers.cio.model import pads, walker_of
-from defplan_solvers.cio.newton import ContactInvariant, Walk
+from defplan_solvers.cio.newton import ContactInvariant, Iterate
 from defplan_solvers.cio.start import PATTERNS, foot_forces, starts
 from defplan_solvers.cio.terms import Weights
 from defplan_solvers.gait import shooting
@@ -41,7 +41,7 @@ def toy_problem(tasks=DIRECTIONS, steps: int = 10, cycles: int = 2) -> GaitProbl
     return GaitProblem(dynamics, gait_tasks, steps, steps * cycles, elements=4, weights=weights)
 
 
-def toy(joint: bool, **kwargs) -> tuple[ContactInvariant, Walk]:
+def toy(joint: bool, **kwargs) -> tuple[ContactInvariant, Iterate]:
     problem, walker = toy_problem(**kwargs), toy_walker()
     tasks = list(range(problem.n_tasks))
     optimised = ContactInvariant(walker, problem, tasks, problem.cycles, joint=joint)
@@ -51,8 +51,8 @@ def toy(joint: bool, **kwargs) -> tuple[ContactInvariant, Walk]:
 
 
 def displaced(
-    optimised: ContactInvariant, walk: Walk, seed: int, size: float
-) -> tuple[Walk, tuple[np.ndarray, ...]]:
+    optimised: ContactInvariant, walk: Iterate, seed: int, size: float
+) -> tuple[Iterate, tuple[np.ndarray, ...]]:
     """Walks that obey nothing, and a direction."""
     rng, local = np.random.default_rng(seed), 3 * optimised.walker.n_feet
     local += 0 if optimised.joint else optimised.walker.nu
@@ -127,10 +127,10 @@ def test_objective_of_the_residuals_is_the_problems():
         assert (cycle[b] ** 2).sum() + (tilt[b] ** 2).sum() == pytest.approx(float(cost), rel=1e-9)
 
 
-def standing(optimised: ContactInvariant, walk: Walk) -> Walk:
+def standing(optimised: ContactInvariant, walk: Iterate) -> Iterate:
     """Without a start that knows the answer: no forces, a body at rest."""
     states = np.tile(optimised.walker.rest, (*walk.states.shape[:2], 1))
-    return Walk(states, 0 * walk.forces, walk.shapes, walk.w)
+    return Iterate(states, 0 * walk.forces, walk.shapes, walk.w)
 
 
 def test_standing_takes_the_weight():
@@ -152,7 +152,7 @@ def test_a_body_thrown_up_flies_freely_and_lands_on_its_impulse():
     states = walk.states.copy()
     states[:, 0, 7 + 12 + 2] = up
     forces = np.tile(np.ravel([[0, 0, 0.25]] * 4), (1, steps, 1))
-    walk = Walk(states, forces, 0 * walk.shapes, 0 * walk.w)
+    walk = Iterate(states, forces, 0 * walk.shapes, 0 * walk.w)
     for physics, contact in ((0.3, 0.3), (1.0, 3.0), (3.0, 10.0), (30.0, 10.0)):
         weights = Weights(physics, contact, dmp=0.01)
         walk, _ = optimised.minimise(walk, weights, 100, np.full(1, 1e-2))
@@ -276,7 +276,7 @@ def test_physics_is_met_by_a_simulation_under_given_forces(walking):
         newtons = walker.weight * force.reshape(4, 3).T
         states.append(np.array(walker.step(states[-1], u, newtons)).ravel())
     w = np.zeros((1, optimised.alone[0].n_w))
-    walk = Walk(np.array([states]), forces, shapes, w)
+    walk = Iterate(np.array([states]), forces, shapes, w)
     assert optimised.parts(walk, Weights(1.0, 1.0))["physics"] < 1e-20
     weights = Weights(1.0, 1.0, dmp=0.5)
     walk, direction = displaced(optimised, walk, 5, 0.01)

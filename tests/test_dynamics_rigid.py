@@ -7,6 +7,7 @@ import pytest
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.rigid import RigidDynamics
+from defplan_mj.planning.frames import attitude_frames, random_attitudes
 
 
 def test_a_step_is_the_rigid_motion_of_the_gait_in_the_body_frame():
@@ -26,6 +27,23 @@ def test_poses_are_those_of_homogeneous_matrices_by_mujocos_conversions():
         motion[:3, :3], motion[:3, 3] = surrogate.rotations[gait], surrogate.translations[gait]
         after = RigidDynamics(surrogate).step(x, gait)
         assert np.allclose(_homogeneous(after), _homogeneous(x) @ motion, atol=1e-14)
+
+
+def test_motions_of_many_robots_are_those_of_their_poses_in_the_plane_and_in_space():
+    for space, surrogate in (("planar", samples.surrogate()), ("spatial", samples.swimmer())):
+        rng, gaits = np.random.default_rng(0), np.array([0, 2, 1, 1])
+        d = {"planar": 2, "spatial": 3}[space]
+        attitudes = random_attitudes(rng, 4, d)
+        places = np.zeros((4, 3))
+        places[:, :d] = rng.normal(size=(4, d))
+        ends, frames = (
+            surrogate.motions(space).of(gaits).after(places[:, :d], attitude_frames(attitudes, d))
+        )
+        for i, gait in enumerate(gaits):
+            pose = np.concatenate([places[i], attitudes[i]])
+            after = _homogeneous(RigidDynamics(surrogate).step(pose, gait))
+            assert np.allclose(ends[i], after[:d, 3], atol=1e-14)
+            assert np.allclose(frames[i], after[:d, :d], atol=1e-14)
 
 
 def _homogeneous(pose):

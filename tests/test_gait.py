@@ -202,7 +202,10 @@ IN_SPACE = Weights(drift=3.0, roll=0.7)
 @pytest.fixture(scope="module")
 def spatial(small_fish: Body) -> GaitProblem:
     return GaitProblem(
-        *(ReducedDynamics(small_fish), SPATIAL, 11, 33),
+        ReducedDynamics(small_fish),
+        SPATIAL,
+        11,
+        33,
         space="spatial",
         weights=IN_SPACE,
         axis=AXIS,
@@ -213,7 +216,7 @@ def test_in_space_a_cycle_costs_the_papers_orientation_error_roll_and_displaceme
     spatial: GaitProblem, unknowns: np.ndarray
 ) -> None:
     rng = np.random.default_rng(4)
-    for task, column in zip(SPATIAL, spatial.wanted.T, strict=True):
+    for task, column in zip(SPATIAL, spatial.goals.T, strict=True):
         start, end = Rotation.random(rng=rng), Rotation.from_rotvec(0.3 * rng.normal(size=3))
         x = rng.normal(size=(12, spatial.dynamics.nx))
         x[0, 3:7], x[-1, 3:7] = (a.as_quat(scalar_first=True) for a in (start, start * end))

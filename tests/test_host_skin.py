@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from defplan_mj.host.scene import build_spec
-from defplan_mj.host.skin import shaded_texture, surface_faces, texture_of
+from defplan_mj.host.skin import shaded_texture, texture_of
 from defplan_mj.registry import get_task
 
 
@@ -46,7 +46,7 @@ def test_skin_of_the_rest_shape_is_the_mesh():
     body = samples.fish()
     drawn = _drawn(samples.physics())
     assert np.abs(drawn - body.vertices[body.surface]).max() < 1e-6
-    assert np.array_equal(body.surface[surface_faces(body)], body.faces)
+    assert np.array_equal(body.surface[body.surface_faces], body.faces)
 
 
 def test_default_skin_is_dark_above():

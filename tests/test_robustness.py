@@ -14,7 +14,16 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
 from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.gait.gait import Gait
-from defplan_mj.robustness import CALM, Condition, Walk, conditions, heavier, measure, walk, world
+from defplan_mj.robustness import (
+    CALM,
+    Condition,
+    PerturbedWalk,
+    conditions,
+    heavier,
+    measure_robustness,
+    perturbed_walk,
+    world,
+)
 from defplan_mj.task import BodyOptions
 from defplan_solvers.feedback.open_loop import SOLVER as NONE
 
@@ -66,7 +75,7 @@ def test_a_body_stands_on_a_slope_of_the_said_angle(standing):
     np.testing.assert_allclose(real.contacts(x).total, [0.0, 0.0, weight], atol=0.02 * weight)
     gaps = real.surface(x) @ ground.matrix[:, 2]
     assert -0.005 < gaps.min() < 0.01
-    assert not walk(standing, still(standing.body), NONE, slope, cycles=4).fell.any()
+    assert not perturbed_walk(standing, still(standing.body), NONE, slope, cycles=4).fell.any()
 
 
 def test_friction_and_mass_are_those_of_the_condition_and_the_ground_stays_as_stiff(standing):
@@ -83,10 +92,10 @@ def test_friction_and_mass_are_those_of_the_condition_and_the_ground_stays_as_st
 
 def test_a_body_that_stands_does_not_fall_and_one_that_is_struck_down_does(standing):
     gait = still(standing.body)
-    calm = walk(standing, gait, NONE, CALM, cycles=5)
+    calm = perturbed_walk(standing, gait, NONE, CALM, cycles=5)
     assert not calm.fell.any() and calm.counted.tolist() == [False, False, True, True, True]
     assert np.abs(calm.motion).max() < 1e-3
-    struck = walk(standing, gait, NONE, Condition("blow", push=6.0), cycles=8)
+    struck = perturbed_walk(standing, gait, NONE, Condition("blow", push=6.0), cycles=8)
     assert struck.fell.sum() >= 2
     # it is put on its feet where it fell, and what comes next does not count
     assert not (struck.counted & struck.fell).any()
@@ -94,12 +103,20 @@ def test_a_body_that_stands_does_not_fall_and_one_that_is_struck_down_does(stand
 
 
 def test_pushes_and_switches_are_the_same_for_each_feedback(fish_dynamics, fish_gait):
-    first = walk(fish_dynamics, fish_gait, NONE, Condition("p", push=0.3), cycles=6, seed=3)
-    again = walk(fish_dynamics, fish_gait, NONE, Condition("p", push=0.3), cycles=6, seed=3)
-    other = walk(fish_dynamics, fish_gait, NONE, Condition("p", push=0.3), cycles=6, seed=4)
+    first = perturbed_walk(
+        fish_dynamics, fish_gait, NONE, Condition("p", push=0.3), cycles=6, seed=3
+    )
+    again = perturbed_walk(
+        fish_dynamics, fish_gait, NONE, Condition("p", push=0.3), cycles=6, seed=3
+    )
+    other = perturbed_walk(
+        fish_dynamics, fish_gait, NONE, Condition("p", push=0.3), cycles=6, seed=4
+    )
     assert (first.motion == again.motion).all() and (first.task == again.task).all()
     assert not (first.motion == other.motion).all()
-    held = walk(fish_dynamics, fish_gait, registry.get_solver("ilqg", "feedback"), CALM, 6, 3)
+    held = perturbed_walk(
+        fish_dynamics, fish_gait, registry.get_solver("ilqg", "feedback"), CALM, 6, 3
+    )
     assert (held.task == first.task).all()
 
 
@@ -111,7 +128,7 @@ def test_a_walker_that_is_struck_falls_no_more_often_with_feedback_and_keeps_its
     dynamics = ReducedDynamics(Body.load(ASSETS / f"{body}.npz"), gait.timestep, spec.terrain)
     solvers = [NONE, registry.get_solver("ilqg", "feedback")]
     wanted = [CALM, Condition("pushed", push=0.3), Condition("struck", push=1.8)]
-    rows = measure(dynamics, gait, solvers, wanted, cycles=100)
+    rows = measure_robustness(dynamics, gait, solvers, wanted, cycles=100)
     for alone, held in zip(rows[::2], rows[1::2], strict=True):
         assert held["falls"] <= alone["falls"]
         assert held["turn_rad"] < 0.5 * alone["turn_rad"]
@@ -122,7 +139,7 @@ def test_a_walker_that_is_struck_falls_no_more_often_with_feedback_and_keeps_its
 def test_drift_is_what_cycles_are_off_from_the_expected_ones():
     motion = np.array([[1.0, 0.0, 0.1], [1.0, 0.4, 0.1], [0.0, 0.0, 3.2], [5.0, 5.0, 5.0]])
     counted = np.array([True, True, True, False])
-    found = Walk(np.array([0, 0, 1, 1]), ~counted, counted, motion)
+    found = PerturbedWalk(np.array([0, 0, 1, 1]), ~counted, counted, motion)
     np.testing.assert_allclose(found.means(2), [[1.0, 0.2, 0.1], [0.0, 0.0, 3.2]])
     expected = np.array([[1.0, 0.1, 0.0], [0.0, 0.0, -3.2]])
     place, turn = found.drift(expected)
@@ -133,7 +150,7 @@ def test_drift_is_what_cycles_are_off_from_the_expected_ones():
 def test_a_measurement_has_a_row_for_each_condition_and_feedback(fish_dynamics, fish_gait):
     solvers = [NONE, registry.get_solver("ilqg", "feedback")]
     wanted = [c for c in conditions(0.3) if not c.slope and c.friction == 1.0][:2]
-    rows = measure(fish_dynamics, fish_gait, solvers, wanted, cycles=8)
+    rows = measure_robustness(fish_dynamics, fish_gait, solvers, wanted, cycles=8)
     names = [(row["condition"], row["feedback"]) for row in rows]
     assert names == [(c.name, s.name) for c in wanted for s in solvers]
     assert all(row["cycles"] == 8 and row["falls"] == 0 for row in rows)
@@ -142,6 +159,8 @@ def test_a_measurement_has_a_row_for_each_condition_and_feedback(fish_dynamics, 
     assert rows[1]["turn_rad"] < 0.5 * rows[0]["turn_rad"]
     assert rows[3]["turn_rad"] < 0.5 * rows[2]["turn_rad"]
     assert rows[0]["way_m"] == pytest.approx(rows[1]["way_m"], rel=0.2)
-    direct = walk(fish_dynamics, fish_gait, NONE, wanted[1], cycles=8)
-    place, turn = direct.drift(walk(fish_dynamics, fish_gait, NONE, CALM, cycles=8).means(3))
+    direct = perturbed_walk(fish_dynamics, fish_gait, NONE, wanted[1], cycles=8)
+    place, turn = direct.drift(
+        perturbed_walk(fish_dynamics, fish_gait, NONE, CALM, cycles=8).means(3)
+    )
     assert (rows[2]["place_m"], rows[2]["turn_rad"]) == (place, turn)

@@ -21,7 +21,7 @@ from defplan_mj.gait.switching import evaluate_switching, measure_cycles
 from defplan_mj.kernel.contact_points import contact_points
 from defplan_solvers.gait import shooting_walk
 from defplan_solvers.gait.shooting import Shooting
-from defplan_solvers.gait.shooting_walk import Trace, Walking, hardest, walk
+from defplan_solvers.gait.shooting_walk import Trace, Walking, hardest, random_tasks
 from defplan_tasks import environments, quadruped, tee, walking
 
 SPECS = {"quadruped": quadruped.WALK, "tee": tee.WALK}
@@ -87,13 +87,15 @@ def test_what_tasks_want_can_be_held_back(problem):
 
 
 def test_the_fast_task_is_the_walk_but_for_what_it_wants_and_may_slide():
-    run, walk = registry.get_task("quadruped-run"), quadruped.WALK
+    run, random_tasks = registry.get_task("quadruped-run"), quadruped.WALK
     assert [task.advance for task in run.gait_tasks] == [1.0] * 4
-    assert run.weights.slip < walk.weights.slip
-    assert (run.feedback, walk.feedback) == ("ilqg", "none")
+    assert run.weights.slip < random_tasks.weights.slip
+    assert (run.feedback, random_tasks.feedback) == ("ilqg", "none")
     changed = {"name", "description", "gait_tasks", "weights", "feedback", "shipped"}
-    for field in dataclasses.fields(walk):
-        assert field.name in changed or getattr(run, field.name) == getattr(walk, field.name)
+    for field in dataclasses.fields(random_tasks):
+        assert field.name in changed or getattr(run, field.name) == getattr(
+            random_tasks, field.name
+        )
 
 
 @pytest.mark.parametrize("domain", SPECS)
@@ -233,7 +235,7 @@ def test_gaits_that_fall_go_on_and_are_taken_if_they_fall_less(
 
 def test_tasks_of_a_walk_are_kept_on_with_as_often_as_asked_for() -> None:
     for kept in (0.0, 0.6):
-        tasks = walk(4, kept)
+        tasks = random_tasks(4, kept)
         again = (tasks[1:] == tasks[:-1]).mean()
         assert again == pytest.approx(kept + (1 - kept) / 4, abs=0.08)
         assert set(tasks) == set(range(4))

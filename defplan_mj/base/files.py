@@ -170,7 +170,7 @@ def load_archive(
         header = json.loads(contents.pop(_HEADER).tobytes())
         if not isinstance(header, dict) or not isinstance(header["meta"], dict):
             raise ValueError("no header")
-        told = header["hash"]
+        digest = header["hash"]
     except PermissionError as error:
         raise DefplanError(f"cannot read {source}: {error.strerror}") from error
     except Exception as error:  # a damaged archive makes zipfile and NumPy raise a dozen kinds
@@ -182,8 +182,8 @@ def load_archive(
             f"{source} has {kind} format {header.get('version')}, this version reads {version}: {remake}"
         )
     meta = header["meta"]
-    if content_hash(contents, meta) != told:
+    if content_hash(contents, meta) != digest:
         raise DefplanError(
             f"{source} is damaged: its content does not match its hash; make it anew"
         )
-    return contents, meta, told
+    return contents, meta, digest

@@ -85,7 +85,7 @@ def crossing_triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     corners = vertices[faces]
     least = 1e-14 * np.ptp(vertices, axis=0).max() ** 3
     near = _near_pairs(corners.min(1), corners.max(1))
-    found = [np.zeros((0, 2), np.int64)]
+    crossings = [np.zeros((0, 2), np.int64)]
     for start in range(0, len(near), _CHUNK):
         pairs = near[start : start + _CHUNK]
         first, second = faces[pairs[:, 0]], faces[pairs[:, 1]]
@@ -93,6 +93,6 @@ def crossing_triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         first, second = first[apart], second[apart]
         cross = _edges_cross(vertices, first, second, least)
         cross |= _edges_cross(vertices, second, first, least)
-        found.append(pairs[apart][cross])
-    joined = np.concatenate(found)
+        crossings.append(pairs[apart][cross])
+    joined = np.concatenate(crossings)
     return joined[np.lexsort(joined.T[::-1])]

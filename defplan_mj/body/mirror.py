@@ -43,8 +43,8 @@ def nearest_places(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) 
     _, near = cKDTree(corners.mean(1)).query(points, count)
     near = near.reshape(len(points), count)
     weights = _barycentric(corners[near], points[:, None])
-    found = np.einsum("mcj,mcji->mci", weights, corners[near])
-    distance = np.linalg.norm(found - points[:, None], axis=2)
+    places = np.einsum("mcj,mcji->mci", weights, corners[near])
+    distance = np.linalg.norm(places - points[:, None], axis=2)
     # of neighbours that share the place the same one whatever the rounding
     best = np.argmin(np.round(distance / (1e-9 * np.ptp(vertices, axis=0).max())), axis=1)
     rows = np.arange(len(points))
@@ -87,13 +87,13 @@ def mirror_axes(vertices: np.ndarray, tetrahedra: np.ndarray) -> tuple[int, ...]
     length = np.ptp(vertices, axis=0).max()
     mass = lumped_mass(vertices, tetrahedra, 1.0)
     centre = mass @ vertices / volumes(vertices, tetrahedra).sum()
-    found = []
+    axes = []
     for axis in AXES:
         there = nearest_places(vertices, faces, points * signs((axis,))[-1]).distances
         off = max(float(np.sqrt((there**2).mean())), float(abs(centre[axis])))
         if off < _TOLERANCE * length:
-            found.append(axis)
-    return tuple(found)
+            axes.append(axis)
+    return tuple(axes)
 
 
 def signs(axes: tuple[int, ...]) -> np.ndarray:

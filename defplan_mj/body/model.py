@@ -137,6 +137,11 @@ class Body:
         """Longest extent of the rest shape, m."""
         return float(np.ptp(self.vertices, axis=0).max())
 
+    @property
+    def surface_faces(self) -> np.ndarray:
+        """(f, 3) surface triangles as indices into `surface`."""
+        return np.searchsorted(self.surface, self.faces)
+
     @cached_property
     def hash(self) -> str:
         """Content hash (64 hex digits); gaits, policies and logs name the body by it."""

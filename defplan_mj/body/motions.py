@@ -122,14 +122,14 @@ def swimming_motions(
     turning = np.einsum("mij,mj->mi", inertia, spin) + inner
     now = _spun(body, now, turning)
     first = _STEPS * (_CYCLES - 1)
-    wanted = first + np.arange(phases) * _STEPS // phases
+    instants = first + np.arange(phases) * _STEPS // phases
     kept = []
     for i in range(_STEPS * _CYCLES):  # the midpoint rule
         rates = _rates(body, points, now, turning, up)
         shape = rhythm.at((i + 0.5) * h)
         middle = turning + 0.5 * h * rates[1]
         half = _spun(body, _moving(body, shape, velocity + 0.5 * h * rates[0], attitude), middle)
-        if i in wanted:
+        if i in instants:
             kept.append(moments_of(body, *shape, half.velocity, half.spin, attitude))
         rates = _rates(body, points, half, middle, up + 0.5 * h * rates[2])
         velocity, turning, up = (

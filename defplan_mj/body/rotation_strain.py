@@ -116,10 +116,10 @@ class RotationStrain:
         for start in range(0, len(q), _CHUNK):
             yield self.nearest(deformation(self.features, q[start : start + _CHUNK]))
 
-    def nearest(self, wanted: np.ndarray) -> np.ndarray:
-        """Return u (m, n, 3) whose gradients come nearest to `wanted` (m, t, 3, 3), F - I."""
-        shapes, tets = wanted.shape[:2]
-        columns = wanted.transpose(1, 3, 0, 2).reshape(3 * tets, 3 * shapes)
+    def nearest(self, gradients: np.ndarray) -> np.ndarray:
+        """Return u (m, n, 3) whose gradients come nearest to `gradients` (m, t, 3, 3), F - I."""
+        shapes, tets = gradients.shape[:2]
+        columns = gradients.transpose(1, 3, 0, 2).reshape(3 * tets, 3 * shapes)
         right = self._weighted @ columns
         u = np.zeros_like(right)
         u[1:] = self._factor.solve(right[1:])

@@ -91,12 +91,12 @@ def _check_shapes(body: Body, where: str) -> dict[str, int]:
                 known["k+1"] = sizes["k"] + 1
             if "s" in sizes:
                 known["9s"] = 9 * sizes["s"]
-            wanted = letter if isinstance(letter, int) else known.get(letter)
-            if wanted is None:
+            expected = letter if isinstance(letter, int) else known.get(letter)
+            if expected is None:
                 sizes[str(letter)] = size
-            elif size != wanted:
+            elif size != expected:
                 _refuse(where, name, f"has shape {array.shape}, which does not fit the others"
-                        f" ({wanted} wanted where it has {size})")  # fmt: skip
+                        f" ({expected} wanted where it has {size})")  # fmt: skip
         if kind == "f" and not np.isfinite(array).all():
             _refuse(where, name, "has numbers that are not finite")
     if sizes["n"] > MOST_VERTICES:

@@ -121,8 +121,8 @@ def make_function(arrays: Arrays, name: str, steps: int) -> casadi.Function:
 def slots_in(serialised: str) -> list[int]:
     """Return the slots that a serialised function is on."""
     names = "|".join(map(encode, _DERIVATIVES))
-    found = set(re.findall(f"(?:{names}){encode('_')}([a-p]{{4}})", serialised))
-    return sorted(int(decode(digits)) for digits in found)
+    matches = set(re.findall(f"(?:{names}){encode('_')}([a-p]{{4}})", serialised))
+    return sorted(int(decode(digits)) for digits in matches)
 
 
 def encode(text: str) -> str:

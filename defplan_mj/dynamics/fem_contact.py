@@ -41,9 +41,9 @@ class FemContact:
             gaps = points @ normals.T - (places * normals).sum(1)
             nearest = gaps.argmin(1)
             return gaps[np.arange(len(points)), nearest], normals[nearest]
-        gap, found = kernel().dp_terrain_gap, np.empty_like(points)
-        values = [gap(self.packed, p, n) for p, n in zip(points, found, strict=True)]
-        return np.array(values), found
+        gap, normals = kernel().dp_terrain_gap, np.empty_like(points)
+        values = [gap(self.packed, p, n) for p, n in zip(points, normals, strict=True)]
+        return np.array(values), normals
 
     def normal_force(
         self, gaps: np.ndarray, rates: np.ndarray

@@ -167,9 +167,9 @@ class FullFem:
         return self.at(np.zeros(self.body.n_modes))
 
     def _checked(self, shape: np.ndarray, name: str) -> np.ndarray:
-        shape, wanted = np.asarray(shape, float), (self.body.n_modes,)
-        if shape.shape != wanted:
-            raise DefplanError(f"the {name} has shape {shape.shape}, wanted {wanted}")
+        shape, expected = np.asarray(shape, float), (self.body.n_modes,)
+        if shape.shape != expected:
+            raise DefplanError(f"the {name} has shape {shape.shape}, wanted {expected}")
         if not np.isfinite(shape).all():
             raise DefplanError(f"the {name} has an entry that is not finite")
         return shape

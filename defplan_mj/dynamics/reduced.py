@@ -14,7 +14,7 @@ from defplan_mj.dynamics.feet import Feet, pack_feet
 from defplan_mj.dynamics.terrain import Terrain, pack_terrain
 from defplan_mj.kernel.contact_points import contact_points
 from defplan_mj.kernel.library import Info, Model, kernel
-from defplan_mj.kernel.pack import Options, pack_body, pack_options
+from defplan_mj.kernel.pack import StepOptions, pack_body, pack_options
 
 _CALM_STEPS, _CALM_TIMESTEP = 4000, 0.2  # to settle on the terrain; s
 
@@ -77,7 +77,7 @@ class ReducedDynamics:
         """
         self.body, self.terrain, self.feet = body, terrain, feet
         self.blob = pack_body(body)
-        self.options = Options(timestep, tolerance, max_newton, substeps, integrator)
+        self.options = StepOptions(timestep, tolerance, max_newton, substeps, integrator)
         self.par = pack_options(body, self.options)
         self._lib = kernel()
         self.model = Model(
@@ -194,11 +194,11 @@ class ReducedDynamics:
                 within the tolerance.
         """
         x_next, info = np.empty(self.nx), Info()
-        told = self.model, self._state(x), self._input(u)
+        arguments = self.model, self._state(x), self._input(u)
         if near is None:
-            self._lib.dp_step(*told, x_next, ctypes.byref(info))
+            self._lib.dp_step(*arguments, x_next, ctypes.byref(info))
         else:
-            self._lib.dp_step_near(*told, self._state(near), x_next, ctypes.byref(info))
+            self._lib.dp_step_near(*arguments, self._state(near), x_next, ctypes.byref(info))
         return x_next, info
 
     def rollout(self, x0: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -344,7 +344,7 @@ class ReducedDynamics:
 
 
 def _restore(
-    body: Body, terrain: Terrain | None, feet: Feet | None, options: Options
+    body: Body, terrain: Terrain | None, feet: Feet | None, options: StepOptions
 ) -> ReducedDynamics:
     """Return the dynamics of given options."""
     return ReducedDynamics(body, terrain=terrain, feet=feet, **asdict(options))

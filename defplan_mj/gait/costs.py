@@ -21,7 +21,7 @@ def planar(
         weights: of the terms.
         start: (nx,) state at the start.
         x: (nx, n) states of the cycle.
-        turn, direction, advance: what is wanted, as in `GaitProblem.wanted`.
+        turn, direction, advance: what is wanted, as in `GaitProblem.goals`.
     """
     end = residuals.planar(start, x[:, -1], turn, direction, advance)
     states = [x[:, i] for i in range(x.shape[1])]

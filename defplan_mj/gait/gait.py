@@ -169,11 +169,11 @@ def validate_gait(gait: Gait, where: str) -> None:
             refuse(name, "has numbers that are not finite")
     if gait.mu.ndim != 2 or 0 in gait.mu.shape:
         refuse("mu", f"has shape {gait.mu.shape}, wanted (wavelets, modes)")
-    wanted = (len(names), *gait.mu.shape)
+    expected = (len(names), *gait.mu.shape)
     for name in ("alpha", "beta"):
-        if getattr(gait, name).shape != wanted:
-            refuse(name, f"has shape {getattr(gait, name).shape}, wanted {wanted}")
-    if gait.amplitude.shape != wanted[2:]:
-        refuse("amplitude", f"has shape {gait.amplitude.shape}, wanted {wanted[2:]}")
+        if getattr(gait, name).shape != expected:
+            refuse(name, f"has shape {getattr(gait, name).shape}, wanted {expected}")
+    if gait.amplitude.shape != expected[2:]:
+        refuse("amplitude", f"has shape {gait.amplitude.shape}, wanted {expected[2:]}")
     if not (gait.amplitude > 0.0).all():
         refuse("amplitude", "must be positive")

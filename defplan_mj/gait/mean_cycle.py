@@ -71,28 +71,28 @@ def mean_cycles(
     task = np.random.default_rng(seed).permutation(np.repeat(np.arange(count), cycles))
     states, down = roll_cycles(dynamics, table[task])
     counted = (since_rest(down) >= SETTLE) & ~down
-    found = []
+    means = []
     for j, shapes in enumerate(table):
         mine = task == j
         chosen = next(c for c in (mine & counted, mine & ~down, mine) if c.any())
-        told = np.array([_told(cycle, level, depth) for cycle in states[chosen]])
-        found.append(_of(dynamics, shapes, told, level, depth))
-    return tuple(found)
+        relative = np.array([_relative(cycle, level, depth) for cycle in states[chosen]])
+        means.append(_of(dynamics, shapes, relative, level, depth))
+    return tuple(means)
 
 
-def _told(cycle: np.ndarray, level: bool, depth: bool) -> np.ndarray:
+def _relative(cycle: np.ndarray, level: bool, depth: bool) -> np.ndarray:
     """Return a cycle's states from the frame at its start, the quaternions of positive w."""
     frame = Frame.of(cycle[0], level, depth)
-    told = np.array([frame.inside(x) for x in cycle])
-    told[:, 3:7] *= np.where(told[:, 3:4] < 0, -1, 1)
-    return told
+    relative = np.array([frame.inside(x) for x in cycle])
+    relative[:, 3:7] *= np.where(relative[:, 3:4] < 0, -1, 1)
+    return relative
 
 
 def _of(
-    dynamics: ReducedDynamics, shapes: np.ndarray, told: np.ndarray, level: bool, depth: bool
+    dynamics: ReducedDynamics, shapes: np.ndarray, relative: np.ndarray, level: bool, depth: bool
 ) -> MeanCycle:
     """Return the mean of cycles (m, n + 1, nx)."""
-    states = told.mean(0)
+    states = relative.mean(0)
     states[:, 3:7] /= np.linalg.norm(states[:, 3:7], axis=1, keepdims=True)
     pairs = []
     for x, u in zip(states, shapes, strict=False):

@@ -69,7 +69,10 @@ class GaitProblem:
     def of(cls, spec: TaskSpec, dynamics: ReducedDynamics) -> GaitProblem:
         """Return the gait problem of a task."""
         return cls(
-            *(dynamics, spec.gait_tasks, spec.steps_per_cycle, spec.gait_steps),
+            dynamics,
+            spec.gait_tasks,
+            spec.steps_per_cycle,
+            spec.gait_steps,
             space=spec.navigation.space,
             weights=spec.weights,
             axis=spec.axis,
@@ -112,7 +115,11 @@ class GaitProblem:
     def _with(self, tasks: Sequence[GaitTask]) -> GaitProblem:
         steps = self.cycles * self.steps_per_cycle
         return GaitProblem(
-            *(self.dynamics, tasks, self.steps_per_cycle, steps, self.elements),
+            self.dynamics,
+            tasks,
+            self.steps_per_cycle,
+            steps,
+            self.elements,
             space=self.space,
             weights=self.weights,
             axis=self.axis,
@@ -170,22 +177,22 @@ class GaitProblem:
     # --- E_obj
 
     @cached_property
-    def wanted(self) -> np.ndarray:
+    def goals(self) -> np.ndarray:
         """(7, K): what each task wants of a cycle: rotation vector, direction, advance."""
         columns = [(*task.turn, *task.direction, task.advance) for task in self.tasks]
         return np.array(columns).T
 
     @cached_property
     def cycle_cost(self) -> ca.Function:
-        """(x_start: nx, x: nx x n, wanted: 7) -> cost of one cycle, a term of E_obj."""
+        """(x_start: nx, x: nx x n, goal: 7) -> cost of one cycle, a term of E_obj."""
         n, nx = self.steps_per_cycle, self.dynamics.nx
-        start, x, wanted = ca.SX.sym("x_start", nx), ca.SX.sym("x", nx, n), ca.SX.sym("wanted", 7)
-        asked = wanted[:3], wanted[3:6], wanted[6]
+        start, x, goal = ca.SX.sym("x_start", nx), ca.SX.sym("x", nx, n), ca.SX.sym("goal", 7)
+        asked = goal[:3], goal[3:6], goal[6]
         if self.space == "planar":
             cost = costs.planar(self.weights, start, x, *asked)
         else:
             cost = costs.spatial(self.weights, self.axis, start, x, *asked)
-        return ca.Function("cycle_cost", [start, x, wanted], [cost])
+        return ca.Function("cycle_cost", [start, x, goal], [cost])
 
     def trajectory_cost(self, sequence: Sequence[int], settle: int = 1) -> ca.Function:
         """Return (x0: nx, x: nx x (n cycles)) -> mean cost of the cycles after the first `settle`.
@@ -197,7 +204,7 @@ class GaitProblem:
         n, nx, cycles = self.steps_per_cycle, self.dynamics.nx, len(sequence)
         x0, x = ca.MX.sym("x0", nx), ca.MX.sym("x", nx, n * cycles)
         starts = ca.horzcat(x0, x[:, n - 1 : -1 : n])
-        costs = self.cycle_cost.map(cycles)(starts, x, self.wanted[:, list(sequence)])
+        costs = self.cycle_cost.map(cycles)(starts, x, self.goals[:, list(sequence)])
         cost = ca.sum2(costs[settle:]) / (cycles - settle)
         if self.weights.slip and self.dynamics.terrain is not None:
             cost += self.weights.slip * self._sliding.path(ca.horzcat(x0, x)) / cycles

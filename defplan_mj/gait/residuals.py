@@ -33,7 +33,7 @@ class PlanarResiduals:
 def planar(
     start: ca.SX, end: ca.SX, turn: ca.SX, direction: ca.SX, advance: ca.SX
 ) -> PlanarResiduals:
-    """Return the residuals of a cycle between states (nx,); the task's as in `GaitProblem.wanted`."""
+    """Return the residuals of a cycle between states (nx,); the task's as in `GaitProblem.goals`."""
     forward, forward_end = forward_axis(start), forward_axis(end)
     yaw = ca.atan2(
         forward[0] * forward_end[1] - forward[1] * forward_end[0],

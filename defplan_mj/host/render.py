@@ -154,8 +154,8 @@ def render_states(
     states = np.atleast_2d(states)
     still = path is not None and Path(path).suffix.lower() == ".png"
     times = timestep * np.arange(len(states))
-    wanted = times[-1:] if still else np.arange(0.0, times[-1] + 0.5 * timestep, 1 / fps)
-    indices = np.minimum(np.round(wanted / timestep).astype(int), len(states) - 1)
+    instants = times[-1:] if still else np.arange(0.0, times[-1] + 0.5 * timestep, 1 / fps)
+    indices = np.minimum(np.round(instants / timestep).astype(int), len(states) - 1)
     frames = _frames(body, states, scene, size, camera, timestep, indices, trail, terrain, texture)
     if path is None:
         return list(frames)

@@ -18,7 +18,7 @@ from defplan_mj.host.ground import add_terrain
 from defplan_mj.host.looks import DRAWN_HALF_HEIGHT, DRAWN_HEIGHT, LOOKS, Look
 from defplan_mj.host.plugin import NAME as PLUGIN
 from defplan_mj.host.plugin import load_plugin
-from defplan_mj.kernel.pack import Options, pack_body, pack_options
+from defplan_mj.kernel.pack import StepOptions, pack_body, pack_options
 
 ROBOT = "robot"
 ROOT = "root"
@@ -135,7 +135,9 @@ def _add_robot(
     """Add the free joint, the modal slide joints, their actuators, the plugin and its data."""
     amplitude = np.asarray(body.amplitude, float)
     spec.add_numeric(name="defplan_body", data=pack_body(body))
-    spec.add_numeric(name="defplan_options", data=pack_options(body, Options(timestep, **stepping)))
+    spec.add_numeric(
+        name="defplan_options", data=pack_options(body, StepOptions(timestep, **stepping))
+    )
     scale = amplitude if normalised else np.ones(body.n_modes)
     spec.add_numeric(name="defplan_scale", data=scale)
     spec.add_text(name="body_hash", data=body.hash)

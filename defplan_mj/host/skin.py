@@ -13,11 +13,6 @@ BACK = (0.16, 0.30, 0.42)
 BELLY = (0.85, 0.87, 0.82)
 
 
-def surface_faces(body: Body) -> np.ndarray:
-    """Return the (f, 3) surface triangles as indices into `body.surface`."""
-    return np.searchsorted(body.surface, body.faces)
-
-
 def shaded_texture(
     back: tuple[float, float, float] = BACK, belly: tuple[float, float, float] = BELLY
 ) -> np.ndarray:
@@ -64,7 +59,7 @@ def add_skin(
         material=material,
         vert=points.ravel(),
         texcoord=texcoord.ravel(),
-        face=surface_faces(body).ravel(),
+        face=body.surface_faces.ravel(),
         bodyname=[bone],
         bindpos=[0.0, 0.0, 0.0],
         bindquat=[1.0, 0.0, 0.0, 0.0],

@@ -93,7 +93,7 @@ MAX_SUBSTEPS = 64
 
 
 @dataclass(frozen=True)
-class Options:
+class StepOptions:
     """How the kernel takes a control step.
 
     Attributes:
@@ -135,11 +135,11 @@ class Options:
         return {"substeps": self.substeps, "integrator": self.integrator}
 
 
-def pack_options(body: Body, options: Options) -> np.ndarray:
+def pack_options(body: Body, options: StepOptions) -> np.ndarray:
     """Return the kernel's numbers (kernel.h: DP_*) of the options and of the body's surroundings.
 
     Raises:
-        DefplanError: see `Options.check`.
+        DefplanError: see `StepOptions.check`.
     """
     options.check()
     medium, material = body.medium, body.material
@@ -153,11 +153,11 @@ def pack_options(body: Body, options: Options) -> np.ndarray:
     )
 
 
-def unpack_options(packed: np.ndarray) -> Options:
+def unpack_options(packed: np.ndarray) -> StepOptions:
     """Return the options of `pack_options`."""
     tolerance, max_newton, substeps, integrator = packed[8:12]
     names = {number: name for name, number in INTEGRATORS.items()}
-    return Options(
+    return StepOptions(
         timestep=float(packed[0]),
         tolerance=float(tolerance),
         max_newton=int(max_newton),

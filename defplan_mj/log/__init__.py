@@ -1,0 +1,1 @@
+"""Logs of episodes as MCAP files: recording, reading, replay, comparison with the surrogate."""

@@ -52,7 +52,7 @@ TURNING = {
 
 
 @dataclass(frozen=True)
-class Episode:
+class LoggedEpisode:
     """One log of a comparison.
 
     Attributes:
@@ -114,7 +114,7 @@ class Comparison:
     """
 
     task_names: tuple[str, ...]
-    episodes: tuple[Episode, ...]
+    episodes: tuple[LoggedEpisode, ...]
     log: np.ndarray
     gait: np.ndarray
     cycle: np.ndarray
@@ -322,11 +322,11 @@ def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def _episode(log: EpisodeLog, rows: np.ndarray) -> Episode:
+def _episode(log: EpisodeLog, rows: np.ndarray) -> LoggedEpisode:
     """Return one log's own figures; the surrogate is chained over its leading whole cycles."""
     leading = rows[rows == np.arange(len(rows))]
     truth = log.states[log.cycle_steps[: len(leading) + 1]][:, :7]
-    return Episode(
+    return LoggedEpisode(
         path=log.path,
         fault=log.fault,
         outcome=log.outcome,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def decimate(points: np.ndarray, faces: np.ndarray, wanted: int) -> tuple[np.ndarray, np.ndarray]:
+def decimate(points: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
     """Pick vertices of a triangle surface so that about `wanted` faces are left (never more).
 
     Vertices are clustered in a cubic grid whose cell is found by bisection; each cluster is
@@ -20,14 +20,14 @@ def decimate(points: np.ndarray, faces: np.ndarray, wanted: int) -> tuple[np.nda
         (m,) indices of the kept points, and (g, 3) faces as indices into those m.
     """
     used = np.unique(faces)
-    if len(faces) <= wanted:
+    if len(faces) <= most:
         return used, np.searchsorted(used, faces)
     low, high = 0.0, float(np.ptp(points, axis=0).max())
     best = _cluster(points, faces, used, high)
     for _ in range(20):
         cell = (low + high) / 2
         trial = _cluster(points, faces, used, cell)
-        if len(trial[1]) > wanted:
+        if len(trial[1]) > most:
             low = cell
         else:
             high, best = cell, trial

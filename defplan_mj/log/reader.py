@@ -56,7 +56,7 @@ _Part = TypeVar("_Part", bound=_Saved)
 
 
 @dataclass(frozen=True)
-class Contacts:
+class LoggedContacts:
     """What pushes on the body in one physics step.
 
     Attributes:
@@ -127,7 +127,7 @@ class EpisodeLog:
     reward: np.ndarray
     laser: np.ndarray
     surrogate_pose: np.ndarray
-    contacts: tuple[Contacts, ...] = ()
+    contacts: tuple[LoggedContacts, ...] = ()
     numbers: dict[str, dict[int, np.ndarray]] = field(default_factory=dict, repr=False)
 
     @property
@@ -230,7 +230,7 @@ def read_log(path: str | Path) -> EpisodeLog:
         raise DefplanError(f"cannot read log {path}: {error.strerror}") from error
     if data[: len(_MAGIC)] != _MAGIC[: len(data)]:
         raise DefplanError(f"{path} is not an MCAP log")
-    found = _Contents()
+    contents = _Contents()
     end = len(_MAGIC)
     try:
         for position, opcode, record in _records(data):
@@ -238,16 +238,16 @@ def read_log(path: str | Path) -> EpisodeLog:
             # (a checksum of 0 means that its writer made none)
             if opcode == Opcode.DATA_END and _number(record) not in (0, zlib.crc32(data[:end])):
                 raise ValueError("the data do not match their checksum")
-            _take(found, opcode, record)
+            _take(contents, opcode, record)
             end = position + 9 + len(record)
     except _DAMAGE:
-        found.fault = f"damaged at byte {end}"
-    if not found.fault and data[end:] != _MAGIC:
-        found.fault = f"cut at byte {len(data)}"
-    if not found.fault and schemas.END_RECORD not in found.metadata:
-        found.fault = "stopped before the episode ended"
+        contents.fault = f"damaged at byte {end}"
+    if not contents.fault and data[end:] != _MAGIC:
+        contents.fault = f"cut at byte {len(data)}"
+    if not contents.fault and schemas.END_RECORD not in contents.metadata:
+        contents.fault = "stopped before the episode ended"
     try:
-        return _in_order(path, found)
+        return _in_order(path, contents)
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         raise DefplanError(f"log {path} is damaged: record it anew") from error
 
@@ -266,17 +266,17 @@ def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
         position = stop
 
 
-def _take(found: _Contents, opcode: int, record: bytes) -> None:
+def _take(contents: _Contents, opcode: int, record: bytes) -> None:
     """Keep what a record says, if we need it."""
     stream = ReadDataStream(BytesIO(record))
     if opcode == Opcode.METADATA:
         metadata = Metadata.read(stream)
-        found.metadata[metadata.name] = metadata.metadata
+        contents.metadata[metadata.name] = metadata.metadata
     elif opcode == Opcode.ATTACHMENT:
         if zlib.crc32(record[:-4]) != _number(record[-4:]):
             raise ValueError("attachment does not match its checksum")
         attachment = Attachment.read(stream)
-        found.attachments[attachment.name] = attachment.data
+        contents.attachments[attachment.name] = attachment.data
     elif opcode == Opcode.CHUNK:
         chunk = Chunk.read(stream)
         if chunk.uncompressed_size > _LARGEST_CHUNK:
@@ -285,26 +285,26 @@ def _take(found: _Contents, opcode: int, record: bytes) -> None:
         taken: list[tuple[str, int, float, Any]] = []
         for item in breakup_chunk(chunk, validate_crc=True):
             if isinstance(item, Channel):
-                found.topics[item.id] = item.topic
-            elif isinstance(item, Message) and found.topics[item.channel_id] in found.needed:
-                topic = found.topics[item.channel_id]
-                content = found.needed[topic].FromString(item.data)
+                contents.topics[item.id] = item.topic
+            elif isinstance(item, Message) and contents.topics[item.channel_id] in contents.needed:
+                topic = contents.topics[item.channel_id]
+                content = contents.needed[topic].FromString(item.data)
                 taken.append((topic, item.sequence, item.log_time * 1e-9, content))
         for topic, *message in taken:
-            found.messages.setdefault(topic, []).append(tuple(message))
+            contents.messages.setdefault(topic, []).append(tuple(message))
 
 
 def _number(four: bytes) -> int:
     return struct.unpack("<I", four)[0]
 
 
-def _in_order(path: Path, found: _Contents) -> EpisodeLog:
+def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
     """Make arrays of what was found."""
-    identity = found.metadata.get(schemas.IDENTITY_RECORD)
+    identity = contents.metadata.get(schemas.IDENTITY_RECORD)
     if identity is None:
-        if found.fault.startswith(("cut", "damaged")):
+        if contents.fault.startswith(("cut", "damaged")):
             raise DefplanError(
-                f"log {path} holds no step of its episode ({found.fault}): record it anew"
+                f"log {path} holds no step of its episode ({contents.fault}): record it anew"
             )
         raise DefplanError(f"{path} is an MCAP file, but not a log of this program")
     if identity.get("format") != str(schemas.FORMAT_VERSION):
@@ -314,15 +314,15 @@ def _in_order(path: Path, found: _Contents) -> EpisodeLog:
         )
     numbers = {
         topic: {sequence: np.array(message.values) for sequence, _, message in messages}
-        for topic, messages in found.messages.items()
-        if found.needed[topic] is schemas.LabelledNumbers
+        for topic, messages in contents.messages.items()
+        if contents.needed[topic] is schemas.LabelledNumbers
     }
     states = numbers.get(channels.STATE, {})
-    if not states or schemas.CONFIGURATION_RECORD not in found.metadata:
+    if not states or schemas.CONFIGURATION_RECORD not in contents.metadata:
         raise DefplanError(
-            f"log {path} holds no step of its episode ({found.fault}): record it anew"
+            f"log {path} holds no step of its episode ({contents.fault}): record it anew"
         )
-    configuration = json.loads(found.metadata[schemas.CONFIGURATION_RECORD]["json"])
+    configuration = json.loads(contents.metadata[schemas.CONFIGURATION_RECORD]["json"])
     scene = configuration.pop("scene")
     names = ("target", "centres", "radii", "velocities", "orientation")
     arrays = {name: np.array(scene[name], float) for name in names}
@@ -335,13 +335,13 @@ def _in_order(path: Path, found: _Contents) -> EpisodeLog:
     steps = 0  # up to the first one that misses something
     while all(steps + 1 in part for part in (states, shapes, contacts)):
         steps += 1
-    fault = found.fault
-    ending = found.metadata.get(schemas.END_RECORD, {})
+    fault = contents.fault
+    ending = contents.metadata.get(schemas.END_RECORD, {})
     if not fault and steps != int(ending.get("steps", -1)):
         fault = f"incomplete: {steps} of {ending.get('steps')} steps are there"
     modes = int(identity["modes"])
     taken = range(1, steps + 1)
-    times = {sequence: time for sequence, time, _ in found.messages[channels.STATE]}
+    times = {sequence: time for sequence, time, _ in contents.messages[channels.STATE]}
     return EpisodeLog(
         path=path,
         fault=fault,
@@ -356,29 +356,29 @@ def _in_order(path: Path, found: _Contents) -> EpisodeLog:
             "integrator": identity["integrator"],
         },
         configuration=configuration,
-        versions=found.metadata.get(schemas.VERSIONS_RECORD, {}),
-        attachments=found.attachments,
+        versions=contents.metadata.get(schemas.VERSIONS_RECORD, {}),
+        attachments=contents.attachments,
         scene=Scene(**{**scene, **arrays}),
         time=np.array([times[i] for i in range(steps + 1)]),
         states=np.array([states[i] for i in range(steps + 1)]),
         target_shapes=np.array([shapes[i] for i in taken]).reshape(steps, modes),
         clearance=np.array([contacts[i][0] for i in taken]),
         contacts=tuple(
-            Contacts(sequence, *contacts_of(message))
-            for sequence, _, message in found.messages.get(channels.FORCES, [])
+            LoggedContacts(sequence, *contacts_of(message))
+            for sequence, _, message in contents.messages.get(channels.FORCES, [])
             if sequence <= steps
         ),
         numbers=numbers,
-        **_cycles(found, numbers, steps),
+        **_cycles(contents, numbers, steps),
     )
 
 
-def _cycles(found: _Contents, numbers: dict[str, dict], steps: int) -> dict[str, np.ndarray]:
+def _cycles(contents: _Contents, numbers: dict[str, dict], steps: int) -> dict[str, np.ndarray]:
     """Return the arrays of the cycles; messages of a cycle carry the number of its last step."""
     gaits = numbers.get(channels.GAIT, {})
     values, rewards = numbers.get(channels.VALUES, {}), numbers.get(channels.REWARD, {})
     scans = numbers.get(channels.RANGES, {})
-    poses = {n: _pose(m) for n, _, m in found.messages.get(channels.SURROGATE, [])}
+    poses = {n: _pose(m) for n, _, m in contents.messages.get(channels.SURROGATE, [])}
     ends = [
         n
         for n in sorted(gaits)

@@ -351,13 +351,13 @@ class Recorder:
 @lru_cache
 def versions() -> dict[str, str]:
     """Return what a bit-identical rerun may depend on: packages, Python, system, processor."""
-    found = {"defplan": defplan_mj.__version__, "python": platform.python_version()}
+    packages = {"defplan": defplan_mj.__version__, "python": platform.python_version()}
     for package in _PACKAGES:
         try:
-            found[package] = importlib.metadata.version(package)
+            packages[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
             continue
-    return {**found, "system": platform.system(), "machine": platform.machine()}
+    return {**packages, "system": platform.system(), "machine": platform.machine()}
 
 
 def _pair(contacts: Contacts) -> tuple[np.ndarray, np.ndarray]:

@@ -196,11 +196,11 @@ def _compare_episode(log: EpisodeLog, replayed: dict[str, np.ndarray]) -> Differ
         "state": _state_labels(log),
         "laser": _reading_labels(log),
     }
-    found = [
+    differences = [
         _first("mujoco", name, logged[name], replayed[name], labels.get(name, [""]), steps[name])
         for name in logged
     ]
-    return min((d for d in found if d is not None), key=lambda d: d.step, default=None)
+    return min((d for d in differences if d is not None), key=lambda d: d.step, default=None)
 
 
 def _first(

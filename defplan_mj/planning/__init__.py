@@ -1,0 +1,1 @@
+"""Planning with gaits: surrogate, scenes, observation, planners' interface, collision check, evaluation."""

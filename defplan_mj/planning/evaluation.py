@@ -241,12 +241,12 @@ def evaluate(
     numbered = list(enumerate(scenes))
     pieces = 1 if workers == 1 else 8 * workers
     shares = [numbered[i::pieces] for i in range(pieces) if numbered[i::pieces]]
-    found: list[Episode] = []
+    ended: list[Episode] = []
     for episodes in _map(run, shares, workers):
         for episode in episodes:
-            found.append(episode)
-            progress(f"{episode.outcome} in {episode.cycles} cycles", len(found) / len(scenes))
-    return EvaluationResult(tuple(sorted(found, key=lambda episode: episode.index)))
+            ended.append(episode)
+            progress(f"{episode.outcome} in {episode.cycles} cycles", len(ended) / len(scenes))
+    return EvaluationResult(tuple(sorted(ended, key=lambda episode: episode.index)))
 
 
 _Share = list[tuple[int, Scene]]

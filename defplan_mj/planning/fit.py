@@ -122,15 +122,15 @@ def _switch(
         far = [np.linalg.norm(dynamics.surface(x) - x[:3], axis=1).max() for x in measured]
         return chain[counted], states[counted][:, [0, -1]], float(max(far, default=0.0))
 
-    found, starts, ends, radius = [], [], [], 0.0
+    gaits, starts, ends, radius = [], [], [], 0.0
     pool = ThreadPoolExecutor(min(threads.available_cores(), 2))
     try:
         for done, (counted, states, farthest) in enumerate(pool.map(run, chains)):
-            found.append(counted)
+            gaits.append(counted)
             starts.append(states[:, 0])
             ends.append(states[:, 1])
             radius = max(radius, farthest)
             progress("switching tasks at random", (done + 1) / len(chains))
     finally:
         pool.shutdown(cancel_futures=True)
-    return np.concatenate(found), np.concatenate(starts), np.concatenate(ends), radius
+    return np.concatenate(gaits), np.concatenate(starts), np.concatenate(ends), radius

@@ -14,11 +14,6 @@ from defplan_mj.report.drawing import draw_surface, fit
 _OUTER, _INNER = "#1f7a8c", "#e0b25b"
 
 
-def surface_rows(body: Body) -> np.ndarray:
-    """Return the body's faces as rows of its surface points."""
-    return np.searchsorted(body.surface, body.faces)
-
-
 @styled
 def mesh_figures(body: Body) -> tuple[Figure, Figure]:
     """Return the tetrahedral mesh, whole and with the half nearer to the viewer taken away."""
@@ -50,7 +45,7 @@ def mode_figure(body: Body, dynamics: ReducedDynamics, mode: int) -> Figure:
     figure, axes = new_figure(4.6, 1.7, 1, 2)
     colour = SERIES[mode % len(SERIES)]
     for column, points in enumerate(shapes):
-        draw_surface(axes[0, column], points, surface_rows(body), rotation, colour)
+        draw_surface(axes[0, column], points, body.surface_faces, rotation, colour)
     seen = np.concatenate([points @ rotation.T for points in shapes])[:, :2]
     for column, mark in enumerate("−+"):
         fit(axes[0, column], seen)  # both at one scale

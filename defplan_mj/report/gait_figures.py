@@ -12,7 +12,6 @@ from defplan_mj.base.space import SPACES
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait, dmp
 from defplan_mj.log.plotting import FAINT, INK, PATH, SERIES, new_figure, styled, view
-from defplan_mj.report.body_figures import surface_rows
 from defplan_mj.report.drawing import draw_surface, silhouette
 from defplan_mj.report.views import PICTURES, View
 
@@ -114,7 +113,7 @@ def strip_figure(
         gap = 1.05 * (high - low)[0]
         for column, (i, points) in enumerate(zip(chosen, bodies, strict=True)):
             draw_surface(
-                axes, points + column * gap * rotation[0], surface_rows(dynamics.body), rotation
+                axes, points + column * gap * rotation[0], dynamics.body.surface_faces, rotation
             )
             number = i // n if label == "after cycles" else i - first
             axes.annotate(
@@ -166,7 +165,7 @@ def draw_bodies(
     colour: str = _SHADOW,
 ) -> None:
     """Draw the body's silhouette in each of some states."""
-    rows = surface_rows(dynamics.body)
+    rows = dynamics.body.surface_faces
     for x in states:
         silhouette(axes, seen.place(dynamics.surface(x)), rows, colour)
     axes.autoscale_view()

@@ -109,7 +109,7 @@ class Material:
     def solvers(self) -> list[dict[str, Any]]:
         """The gait solvers on the same problem, an entry a solver and seed; empty if not compared.
 
-        'name', 'seed' and what `rivals.measure` says; or 'name', 'seed' and 'error'.
+        'name', 'seed' and what `rivals.measure_solver` says; or 'name', 'seed' and 'error'.
         """
         found = self.documents.get("gait_solvers", {}).get("solvers")
         return found if isinstance(found, list) else []

@@ -68,7 +68,7 @@ class Walker:
 
 def pads(body: Body) -> Feet:
     """Return the feet of a body, a wide one as the outer quarters of its two ends."""
-    found = []
+    groups = []
     for group in lowest_feet(body).vertices:
         parts = [group]
         for axis in (0, 1):
@@ -77,8 +77,8 @@ def pads(body: Body) -> Feet:
             if width > _WIDE * body.length:
                 ends = (group[place < low + width / 4], group[place > low + 3 * width / 4])
                 parts = [np.intersect1d(part, end) for part in parts for end in ends]
-        found += parts
-    return Feet(tuple(found))
+        groups += parts
+    return Feet(tuple(groups))
 
 
 def walker_of(problem: GaitProblem) -> Walker:

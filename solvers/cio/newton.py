@@ -25,7 +25,7 @@ _GOOD, _FAIR = 0.7, 0.2  # part of the promised decrease from which damping is l
 
 
 @dataclass(frozen=True)
-class Walk:
+class Iterate:
     """B walks of N steps each, all from rest.
 
     Attributes:
@@ -40,9 +40,9 @@ class Walk:
     shapes: np.ndarray
     w: np.ndarray
 
-    def where(self, chosen: np.ndarray, other: Walk) -> Walk:
+    def where(self, chosen: np.ndarray, other: Iterate) -> Iterate:
         """Return these walks where `chosen` (B,), and the other ones elsewhere."""
-        return Walk(
+        return Iterate(
             *(
                 np.where(chosen.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
                 for a, b in zip(self.arrays(), other.arrays(), strict=True)
@@ -80,7 +80,7 @@ class ContactInvariant:
         self.alone = [problem.alone(j) for j in tasks]
         judged = cycles - settle
         self.starts = self.n * np.arange(settle, cycles)  # states at which judged cycles start
-        self.wanted = problem.wanted.T[np.repeat(tasks, judged)]
+        self.goals = problem.goals.T[np.repeat(tasks, judged)]
         total, mode = self.count * self.steps, ("thread", threads) if threads > 1 else ()
         self._stage, self._stage_jacobian = (
             Compiled(stage_function(walker, problem, judged, jacobian).map(total, *mode))
@@ -126,21 +126,21 @@ class ContactInvariant:
 
     # --- values
 
-    def _inputs(self, walk: Walk, weights: Weights) -> list[np.ndarray]:
-        wanted = self.dmp(walk.w)
-        shapes = wanted if self.joint else walk.shapes
+    def _inputs(self, walk: Iterate, weights: Weights) -> list[np.ndarray]:
+        shapes_of_w = self.dmp(walk.w)
+        shapes = shapes_of_w if self.joint else walk.shapes
         x = walk.states
-        arrays = (x[:, :-1], x[:, 1:], walk.forces, shapes, wanted)
+        arrays = (x[:, :-1], x[:, 1:], walk.forces, shapes, shapes_of_w)
         flat = [a.reshape(self.count * self.steps, -1) for a in arrays]
         return [*flat, np.tile(weights.array(), (len(flat[0]), 1))]
 
-    def _ends(self, walk: Walk, weights: Weights) -> list[np.ndarray]:
+    def _ends(self, walk: Iterate, weights: Weights) -> list[np.ndarray]:
         x = walk.states
         pair = (x[:, self.starts], x[:, self.starts + self.n])
         flat = [a.reshape(-1, x.shape[2]) for a in pair]
-        return [*flat, self.wanted, np.full((len(flat[0]), 1), weights.objective)]
+        return [*flat, self.goals, np.full((len(flat[0]), 1), weights.objective)]
 
-    def residuals(self, walk: Walk, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
+    def residuals(self, walk: Iterate, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
         """Return the residuals of the steps (B, N, m) and of the cycles' motions (B, judged m)."""
         (stage,) = self._stage(*self._inputs(walk, weights))
         (cycle,) = self._cycle(*self._ends(walk, weights))
@@ -148,13 +148,13 @@ class ContactInvariant:
             self.count, -1
         ).copy()
 
-    def cost(self, walk: Walk, weights: Weights) -> np.ndarray:
+    def cost(self, walk: Iterate, weights: Weights) -> np.ndarray:
         """Return the sum of all terms (B,)."""
         stage, cycle = self.residuals(walk, weights)
         regular = np.array([self.regular(w) for w in walk.w])
         return (stage**2).sum((1, 2)) + (cycle**2).sum(1) + weights.objective**2 * regular
 
-    def parts(self, walk: Walk, weights: Weights) -> dict[str, np.ndarray]:
+    def parts(self, walk: Iterate, weights: Weights) -> dict[str, np.ndarray]:
         """Return mean squares (B,) without weights: of 'physics' a step (g), of 'contact' a step.
 
         'contact' is the squared gap and slip of feet that carry, in units of 5 cm, summed over feet.
@@ -170,7 +170,7 @@ class ContactInvariant:
 
     # --- a step
 
-    def system(self, walk: Walk, weights: Weights) -> System:
+    def system(self, walk: Iterate, weights: Weights) -> System:
         """Linearise: the normal equations with forces, shapes and states apart, w and E_obj as border."""
         count, steps, nt, r = self.count, self.steps, self.nt, self.walker.nu
         value, jacobian = self._stage_jacobian(*self._inputs(walk, weights))
@@ -220,7 +220,7 @@ class ContactInvariant:
         shapes = 0 if self.joint else self.walker.nu
         return np.concatenate([np.full(3 * self.walker.n_feet, _FORCE), np.full(shapes, _SHAPE)])
 
-    def moved(self, walk: Walk, step: tuple[np.ndarray, ...]) -> Walk:
+    def moved(self, walk: Iterate, step: tuple[np.ndarray, ...]) -> Iterate:
         """Return the walks after a step of states (B, N, nt), local unknowns (B, N, .) and w (B, .)."""
         dx, dlocal, dw = step
         largest = np.abs(dx[..., 3 : 6 + self.walker.nu]).max((1, 2))
@@ -236,11 +236,11 @@ class ContactInvariant:
         if self.joint:
             free = w[:, self.alone[0].n_phases :]
             np.clip(free + dw, -self.bound, self.bound, out=free)
-        return Walk(states, walk.forces + dlocal[..., :feet], shapes, w)
+        return Iterate(states, walk.forces + dlocal[..., :feet], shapes, w)
 
     def minimise(
-        self, walk: Walk, weights: Weights, iterations: int, damping: np.ndarray
-    ) -> tuple[Walk, np.ndarray]:
+        self, walk: Iterate, weights: Weights, iterations: int, damping: np.ndarray
+    ) -> tuple[Iterate, np.ndarray]:
         """Take `iterations` steps; each walk keeps those that lower its cost, damped as they do.
 
         Args:

@@ -17,7 +17,7 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_solvers.cio import start
 from defplan_solvers.cio.model import Walker, walker_of
-from defplan_solvers.cio.newton import ContactInvariant, Walk
+from defplan_solvers.cio.newton import ContactInvariant, Iterate
 from defplan_solvers.cio.terms import Weights
 from defplan_solvers.gait import shooting
 from defplan_solvers.gait.alternating import Fit
@@ -179,7 +179,7 @@ class Cio:
             began, history = time.perf_counter(), []
             walk = start.starts(walker, problem, list(range(k)), [pattern] * k, self.cycles, rng)
             w = _together(problem, walk.w)
-            walk = Walk(walk.states, walk.forces, by_turns.dmp(walk.w), walk.w)
+            walk = Iterate(walk.states, walk.forces, by_turns.dmp(walk.w), walk.w)
             for number, stage in enumerate(self.stages):
                 weights = Weights(stage.physics, stage.contact, dmp=stage.dmp)
                 damping = np.full(k, _DAMPING)
@@ -189,7 +189,7 @@ class Cio:
                     w = fit(
                         w, walk.shapes.reshape(-1, walker.nu), stage.dmp**2 * len(walk.shapes[0])
                     )
-                    walk = Walk(walk.states, walk.forces, walk.shapes, apart(problem, w))
+                    walk = Iterate(walk.states, walk.forces, walk.shapes, apart(problem, w))
                 history.append(float(by_turns.cost(walk, weights).mean()))
                 part = (number + 1) / len(self.stages)
                 progress("gait: contact-invariant, by turns", (done + part) / len(patterns))
@@ -203,14 +203,17 @@ class Cio:
         self, walker: Walker, problem: GaitProblem, tasks: list[int]
     ) -> ContactInvariant:
         return ContactInvariant(
-            *(walker, problem, tasks, self.cycles),
+            walker,
+            problem,
+            tasks,
+            self.cycles,
             joint=self.joint,
             bound=self.bound,
             threads=self.threads,
         )
 
     def _judge(
-        self, problem: GaitProblem, optimised: ContactInvariant, walk: Walk, weights: Weights
+        self, problem: GaitProblem, optimised: ContactInvariant, walk: Iterate, weights: Weights
     ) -> Trial:
         """Simulate every walk's gait; each task keeps the one that does best."""
         believed, simulated = np.empty(len(walk.w)), np.empty(len(walk.w))

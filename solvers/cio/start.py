@@ -10,7 +10,7 @@ import numpy as np
 
 from defplan_mj.gait.problem import GaitProblem
 from defplan_solvers.cio.model import Walker
-from defplan_solvers.cio.newton import Walk
+from defplan_solvers.cio.newton import Iterate
 
 PATTERNS: dict[str, tuple[tuple[float, ...], float]] = {
     "trot": ((0.0, 0.5, 0.5, 0.0), 0.55),
@@ -55,7 +55,7 @@ def starts(
     cycles: int,
     rng: np.random.Generator,
     motion: float = 0.06,
-) -> Walk:
+) -> Iterate:
     """Return a walk for each of the tasks and patterns, side by side.
 
     The body glides as its task wants, upright and in its shape at rest; phases of the DMP are spread
@@ -71,9 +71,9 @@ def starts(
     states, forces, w = [], [], []
     for task, pattern in zip(tasks, patterns, strict=True):
         x = np.tile(walker.rest, (steps + 1, 1))
-        wanted = problem.tasks[task]
-        x[:, :3] += np.arange(steps + 1)[:, None] / n * np.array(wanted.move)
-        x[1:, 7 + r : 10 + r] = np.array(wanted.move) / (n * walker.timestep)
+        goal = problem.tasks[task]
+        x[:, :3] += np.arange(steps + 1)[:, None] / n * np.array(goal.move)
+        x[1:, 7 + r : 10 + r] = np.array(goal.move) / (n * walker.timestep)
         phases, duty = PATTERNS.get(pattern, ((), 0.6))
         drawn = rng.uniform(
             0, 1, walker.n_feet
@@ -84,7 +84,7 @@ def starts(
         alpha = motion * rng.normal(size=(1, d, r))
         w.append(np.concatenate([mu.ravel(), alpha.ravel(), np.ones(d * r)]))
     shapes = np.zeros((len(tasks), steps, r))
-    return Walk(np.array(states), np.array(forces), shapes, np.array(w))
+    return Iterate(np.array(states), np.array(forces), shapes, np.array(w))
 
 
 def _corners(walker: Walker) -> np.ndarray:

@@ -87,7 +87,7 @@ def stage_function(
 ) -> ca.Function:
     """Return the residuals of one step.
 
-    (x, x_next: nx, force: 3F in weights, u: r, wanted u: r, weights) -> residuals: E_phys (nx - 1),
+    (x, x_next: nx, force: 3F in weights, u: r, target: r, weights) -> residuals: E_phys (nx - 1),
     E_cio, posture and amplitude, E_dmp (r); with `jacobian` also its transpose, over
     (x, x_next in the tangent, force, u).
 
@@ -97,7 +97,7 @@ def stage_function(
     nx, r, feet = walker.nx, walker.nu, walker.n_feet
     unit = 1 / (9.81 * walker.timestep**2)
     x, x_next = ca.MX.sym("x", nx), ca.MX.sym("x_next", nx)
-    force, u, wanted = ca.MX.sym("l", 3 * feet), ca.MX.sym("u", r), ca.MX.sym("wanted", r)
+    force, u, target = ca.MX.sym("l", 3 * feet), ca.MX.sym("u", r), ca.MX.sym("target", r)
     weights = ca.MX.sym("weights", len(Weights(0, 0).array()))
     scale, newtons = unit * state_scale(walker), walker.weight * ca.reshape(force, 3, feet)
 
@@ -106,7 +106,7 @@ def stage_function(
     cio = _with_jacobian(foot_residuals(walker), (0, 1, 2))(
         walker.feet(x), walker.feet(x_next), ca.reshape(force, 3, feet), weights
     )
-    rest = _with_jacobian(_posture(walker, problem, judged), (0, 1))(x_next, u, wanted, weights)
+    rest = _with_jacobian(_posture(walker, problem, judged), (0, 1))(x_next, u, target, weights)
     outputs = [ca.vertcat(weights[0] * physics, cio[0], rest[0])]
     if jacobian:
         tangent = tangent_function(nx)
@@ -124,32 +124,32 @@ def stage_function(
             ca.MX(n_rest, nx - 1), rest[1] @ t_next, ca.MX(n_rest, 3 * feet), rest[2]
         )
         outputs.append(ca.densify(ca.vertcat(first, second, third)))
-    return ca.Function("stage", [x, x_next, force, u, wanted, weights], outputs)
+    return ca.Function("stage", [x, x_next, force, u, target, weights], outputs)
 
 
 def _posture(walker: Walker, problem: GaitProblem, judged: int) -> ca.Function:
-    """(x_next, u, wanted u, weights) -> E_obj's tilt of a step, bound of u, E_dmp."""
+    """(x_next, u, target, weights) -> E_obj's tilt of a step, bound of u, E_dmp."""
     x, weights = ca.SX.sym("x", walker.nx), ca.SX.sym("weights", len(Weights(0, 0).array()))
-    u, wanted = ca.SX.sym("u", walker.nu), ca.SX.sym("wanted", walker.nu)
+    u, target = ca.SX.sym("u", walker.nu), ca.SX.sym("target", walker.nu)
     share = weights[7] / np.sqrt(problem.steps_per_cycle * judged)
     rows = [
         share * np.sqrt(problem.weights.tilt) * residuals.tilt(x),
         share * np.sqrt(problem.weights.upright) * residuals.lean(x),
         weights[5] * ca.fmax(0, ca.fabs(u) / walker.amplitude - 1),
-        weights[6] * (u - wanted),
+        weights[6] * (u - target),
     ]
-    return ca.Function("posture", [x, u, wanted, weights], [ca.vertcat(*rows)])
+    return ca.Function("posture", [x, u, target, weights], [ca.vertcat(*rows)])
 
 
 def cycle_function(problem: GaitProblem, nx: int, judged: int, jacobian: bool) -> ca.Function:
     """Return the residuals of a cycle's motion in E_obj.
 
-    (x at its start, x at its end: nx, wanted: 7, objective's weight) -> (yaw, shortfall, drift, sink),
+    (x at its start, x at its end: nx, goal: 7, objective's weight) -> (yaw, shortfall, drift, sink),
     with `jacobian` also over both states, in the tangent.
     """
-    start, end, wanted = ca.SX.sym("x", nx), ca.SX.sym("x_end", nx), ca.SX.sym("wanted", 7)
+    start, end, goal = ca.SX.sym("x", nx), ca.SX.sym("x_end", nx), ca.SX.sym("goal", 7)
     weight, weights = ca.SX.sym("weight"), problem.weights
-    ends = residuals.planar(start, end, wanted[:3], wanted[3:6], wanted[6])
+    ends = residuals.planar(start, end, goal[:3], goal[3:6], goal[6])
     rows = [
         np.sqrt(weights.turn) * ends.turn,
         np.sqrt(weights.move) * ends.shortfall,
@@ -157,13 +157,13 @@ def cycle_function(problem: GaitProblem, nx: int, judged: int, jacobian: bool) -
         np.sqrt(weights.sink) * ends.rise,
     ]
     r = weight / np.sqrt(judged) * ca.vertcat(*rows)
-    value = ca.Function("cycle", [start, end, wanted, weight], [r])
+    value = ca.Function("cycle", [start, end, goal, weight], [r])
     if not jacobian:
         return value
-    _, by_start, by_end = _with_jacobian(value, (0, 1))(start, end, wanted, weight)
+    _, by_start, by_end = _with_jacobian(value, (0, 1))(start, end, goal, weight)
     tangent = tangent_function(nx)
     both = ca.horzcat(by_start @ tangent(start), by_end @ tangent(end))
-    return ca.Function("cycle", [start, end, wanted, weight], [r, ca.densify(both)])
+    return ca.Function("cycle", [start, end, goal, weight], [r, ca.densify(both)])
 
 
 def _with_jacobian(function: ca.Function, over: tuple[int, ...]) -> ca.Function:

@@ -27,7 +27,7 @@ CHANGES: dict[str, dict] = {
     "the recipe": {},
     "no progress in the reward": {"reward": "goal"},
     "raw Eq. 2": {"reward": "eq2"},
-    "K2 scenes only": {"k2_only": True},
+    "training targets only": {"k2_only": True},
     "1-step returns": {"n_steps": 1},
     "8-step returns": {"n_steps": 8},
     "discount 0.9": {"discount": 0.9},
@@ -83,7 +83,11 @@ def main() -> None:
     navigation = registry.get_task(options.task).navigation
     surrogate = Surrogate.load(options.surrogate)
     budget = Recipe(transitions=options.transitions, buffer=options.transitions, checkpoints=4)
-    print("| changed | seed | K2 | novel | novel, time-outs | CPU, s |\n" + "| --- " * 6 + "|")
+    print(
+        "| changed | seed | training targets | unseen scenes | unseen scenes, time-outs | CPU, s |\n"
+        + "| --- " * 6
+        + "|"
+    )
     for name, change in CHANGES.items():
         for seed in range(options.seeds):
             row = ablate(surrogate, navigation, seed, replace(budget, **change))

@@ -86,7 +86,7 @@ class DqlPaperSolver:
 
     kind = "planner"
     name = "dql-paper"
-    summary = "deep Q-learning as in the paper: pretrained CNN, RMSProp, raw Eq. 2, fixed K2 scenes"
+    summary = "deep Q-learning as in the paper: pretrained CNN, RMSProp, raw Eq. 2, fixed training targets"
     needs_training = True
 
     def __init__(self, configuration: PaperConfiguration = PaperConfiguration()) -> None:

@@ -163,9 +163,9 @@ def pretrain(
     errors: list[float] = []
     for step in range(configuration.pretraining):
         laser = env.step(generator.integers(0, len(surrogate.task_names), robots)).laser
-        wanted, visible = nearest_obstacles(env)
+        truth, visible = nearest_obstacles(env)
         guess = head(cnn(torch.from_numpy(laser))).view(robots, NEAREST, -1)
-        offset = guess - torch.from_numpy(wanted) / navigation.laser_range
+        offset = guess - torch.from_numpy(truth) / navigation.laser_range
         square = (offset**2).sum(2)[torch.from_numpy(visible)]
         loss = square.mean()
         optimiser.zero_grad()
@@ -236,9 +236,9 @@ def learn(
             )
             with torch.no_grad():
                 best_after = target_q(after[drawn]).max(1).values
-            wanted = reward[drawn] + configuration.discount * best_after
+            target = reward[drawn] + configuration.discount * best_after
             value = q(state[drawn]).gather(1, gait[drawn, None])[:, 0]
-            loss = functional.mse_loss(value, wanted)
+            loss = functional.mse_loss(value, target)
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
@@ -247,8 +247,8 @@ def learn(
             for name, number in _checkpoint(network, surrogate, navigation, scenes, novel).items():
                 curves.setdefault(name, []).append(number)
             curves.setdefault("transitions", []).append(stored)
-            told = f"iteration {iteration}, K2 {curves['k2_success'][-1]:.0%}"
-            progress(told, iteration / configuration.iterations)
+            message = f"iteration {iteration}, training targets {curves['k2_success'][-1]:.0%}"
+            progress(message, iteration / configuration.iterations)
         if late:
             break
     return {name: np.array(curve) for name, curve in curves.items()}, iteration

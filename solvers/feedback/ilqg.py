@@ -207,16 +207,20 @@ class Ilqg:
         self._next += 1
         weights = track.weights[i + 1 : i + 1 + ahead].copy()
         weights[-1] = track.onward[i + ahead]
-        wanted = track.controls[i : i + ahead]
-        cost = Cost(track.states[i + 1 : i + 1 + ahead], weights, wanted, self.effort)
-        start = wanted + self._more
+        reference = track.controls[i : i + ahead]
+        cost = Cost(track.states[i + 1 : i + 1 + ahead], weights, reference, self.effort)
+        start = reference + self._more
         plan = optimise(
-            *(self.model, cost, self._frame.inside(x), start, self.bound),
+            self.model,
+            cost,
+            self._frame.inside(x),
+            start,
+            self.bound,
             self.options.iterations,
             self._guide,
         )
         self.costs = plan.costs
-        self._more[:-1] = (plan.controls - wanted)[1:]
+        self._more[:-1] = (plan.controls - reference)[1:]
         self._more[-1] = 0.0
         self._guide = plan.guide
         return plan.controls[0]

@@ -172,20 +172,20 @@ def _linearised(model: Model, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray,
 def _rolled(
     model: Model,
     x0: np.ndarray,
-    wanted: np.ndarray,
+    controls_ahead: np.ndarray,
     bound: np.ndarray,
     guide: Guide | None,
     gains: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return states and controls of a rollout of `wanted`; None: it failed.
+    """Return states and controls of a rollout of `controls_ahead`; None: it failed.
 
     Args:
         guide: what the first steps' results are guessed from.
         gains: (N, r, n_z) feedback to the guide's states before the steps.
     """
-    states, controls = np.empty((len(wanted) + 1, len(x0))), np.empty_like(wanted)
+    states, controls = np.empty((len(controls_ahead) + 1, len(x0))), np.empty_like(controls_ahead)
     states[0] = x0
-    for i, control in enumerate(wanted):
+    for i, control in enumerate(controls_ahead):
         known = guide if guide is not None and i < len(guide.before) else None
         if known:
             off = model.difference(states[i], known.before[i])
@@ -299,7 +299,7 @@ def cost_to_go(
         turn: (n_z, n_z) what the change of frame at the cycle's end does to a change of state.
     """
     n, size = len(a), a.shape[1]
-    found, value = np.zeros((n, size, size)), np.zeros((size, size))
+    matrices, value = np.zeros((n, size, size)), np.zeros((size, size))
     for _ in range(cycles):
         before, value = value, turn.T @ value @ turn
         for i in range(n - 1, -1, -1):
@@ -307,7 +307,7 @@ def cost_to_go(
             quu, qux = np.diag(effort) + b[i].T @ through, through.T @ a[i]
             value = weights[i] + a[i].T @ value @ a[i] - qux.T @ np.linalg.solve(quu, qux)
             value = 0.5 * (value + value.T)
-            found[i] = value
+            matrices[i] = value
         if np.abs(value - before).max() <= tolerance * np.abs(value).max():
             break
-    return found
+    return matrices

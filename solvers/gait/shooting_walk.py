@@ -102,9 +102,9 @@ class Walking:
             alone = [problem.alone(j) for j in range(problem.n_tasks)]
             starts = [[one.random_gait(rng) for _ in range(self.starts)] for one in alone]
             with ThreadPoolExecutor(threads) as pool:  # CasADi lets other threads run meanwhile
-                found = list(pool.map(self._alone, alone, starts, repeat(trace)))
-            stages = [stage for *_, stage in found]
-            mu, alphas, betas, _ = zip(*found, strict=True)
+                results = list(pool.map(self._alone, alone, starts, repeat(trace)))
+            stages = [stage for *_, stage in results]
+            mu, alphas, betas, _ = zip(*results, strict=True)
             w = problem.join(mu[0], np.array(alphas), np.array(betas))
         for number, (cycles, count, iterations) in enumerate(self.rounds):
             hard = [] if number == 0 else hardest(problem, w, cycles, count // 2, rng)
@@ -183,20 +183,21 @@ class Walking:
         def tell(intermediate_result: OptimizeResult) -> None:
             trace.add(float(intermediate_result.fun))
 
-        found = minimize(
-            *(evaluate, w0[n:] / scale),
+        result = minimize(
+            evaluate,
+            w0[n:] / scale,
             jac=True,
             method="L-BFGS-B",
             bounds=np.stack([-bound, bound], 1),
             callback=tell,
             options={"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": _MEMORY},
         )
-        return np.concatenate([w0[:n], scale * found.x]), {
+        return np.concatenate([w0[:n], scale * result.x]), {
             "stage": trace.message.removeprefix("gait: "),
-            "objective": float(found.fun),
-            "iterations": int(found.nit),
-            "evaluations": int(found.nfev),
-            "status": str(found.message),
+            "objective": float(result.fun),
+            "iterations": int(result.nit),
+            "evaluations": int(result.nfev),
+            "status": str(result.message),
             "seconds": time.perf_counter() - began,
         }
 
@@ -214,16 +215,16 @@ def hardest(
     A cycle has a random task, or, with the chance `kept`, that of the cycle before.
     """
     dynamics, table = problem.dynamics, problem.gait(w, {}).table()
-    task = walk(problem.n_tasks, kept, rng)
+    task = random_tasks(problem.n_tasks, kept, rng)
     states, _ = roll_cycles(dynamics, table[task])
-    found: dict[int, list[int]] = {}
+    sequences: dict[int, list[int]] = {}
     for last in np.argsort(-tilt(states).max(1), kind="stable"):
         sequence = [int(j) for j in task[max(0, last + 1 - cycles) : last + 1]]
-        near = any(abs(last - other) < cycles / 2 for other in found)
-        wanted = len(found) < count and len(sequence) == cycles and not near
-        if wanted and solves(dynamics, table[sequence]):
-            found[int(last)] = sequence
-    return list(found.values())
+        near = any(abs(last - other) < cycles / 2 for other in sequences)
+        fits = len(sequences) < count and len(sequence) == cycles and not near
+        if fits and solves(dynamics, table[sequence]):
+            sequences[int(last)] = sequence
+    return list(sequences.values())
 
 
 def solvable(
@@ -231,15 +232,15 @@ def solvable(
 ) -> list[list[int]]:
     """Return random sequences of tasks, each task first in as many; none whose solve fails at w."""
     dynamics, table = problem.dynamics, problem.gait(w, {}).table()
-    found: list[list[int]] = []
+    sequences: list[list[int]] = []
     for _ in range(10 * count):
-        first, rest = len(found) % problem.n_tasks, rng.integers(problem.n_tasks, size=cycles)
+        first, rest = len(sequences) % problem.n_tasks, rng.integers(problem.n_tasks, size=cycles)
         sequence = [first, *(int(task) for task in rest[1:])]
         if solves(dynamics, table[sequence]):
-            found.append(sequence)
-        if len(found) == count:
+            sequences.append(sequence)
+        if len(sequences) == count:
             break
-    return found
+    return sequences
 
 
 def repeated(problem: GaitProblem, w: np.ndarray, cycles: int) -> list[list[int]]:
@@ -253,12 +254,12 @@ def falls(problem: GaitProblem, w: np.ndarray) -> int:
     """Return how often the walker comes down in walks at w: tasks at random, and mostly kept on with."""
     table = problem.gait(w, {}).table()
     return sum(
-        int(roll_cycles(problem.dynamics, table[walk(problem.n_tasks, kept)])[1].sum())
+        int(roll_cycles(problem.dynamics, table[random_tasks(problem.n_tasks, kept)])[1].sum())
         for kept in (0.0, _KEPT, 0.9)
     )
 
 
-def walk(tasks: int, kept: float, rng: np.random.Generator | None = None) -> np.ndarray:
+def random_tasks(tasks: int, kept: float, rng: np.random.Generator | None = None) -> np.ndarray:
     """Return tasks of a long walk: random ones, or, with the chance `kept`, that of the cycle before."""
     rng = rng or np.random.default_rng(0)
     task = rng.integers(tasks, size=_WALK)

@@ -96,16 +96,16 @@ class Trajectories:
         """E_obj of one cycle by its states (nx, n + 1), start first: value; gradient and Hessian."""
         n, nt = self.n, self.nt
         x, step = ca.SX.sym("x", self.nx, n + 1), ca.SX.sym("step", nt, n + 1)
-        wanted = ca.SX.sym("wanted", 7)
+        goal = ca.SX.sym("goal", 7)
         moved = ca.horzcat(*(retract(x[:, i], step[:, i]) for i in range(n + 1)))
-        cost = self.problem.cycle_cost(moved[:, 0], moved[:, 1:], wanted) / judged
+        cost = self.problem.cycle_cost(moved[:, 0], moved[:, 1:], goal) / judged
         hessian, gradient = ca.hessian(cost, ca.vec(step))
         zero = ca.DM.zeros(nt, n + 1)
         at = [ca.substitute(value, step, zero) for value in (cost, gradient, hessian)]
-        value = ca.Function("cycle", [x, wanted], at[:1])
+        value = ca.Function("cycle", [x, goal], at[:1])
         return (
             value,
-            ca.Function("cycle", [x, wanted], [ca.densify(at[1]), at[2]]),
+            ca.Function("cycle", [x, goal], [ca.densify(at[1]), at[2]]),
             at[2].sparsity(),
         )
 
@@ -127,7 +127,7 @@ class Trajectories:
                 tasks.append(sequence[c])
         self._cycle_states = np.array(starts)[:, None] + np.arange(-1, n)  # -1: the state before
         self._first = np.array(starts) % steps == 0
-        self._wanted = self.problem.wanted.T[tasks]
+        self._goals = self.problem.goals.T[tasks]
         self._cycle_index = np.where(
             self._first[:, None, None] & (np.arange(n + 1) == 0)[None, :, None],
             -1,
@@ -175,25 +175,30 @@ class Trajectories:
         blocks[self._first, 0] = self.rest
         return blocks.reshape(-1, self.nx)
 
-    def parts(self, states: np.ndarray, shapes: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    def parts(self, states: np.ndarray, shapes: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Return E_phys, E_obj and E_dmp (means over steps, without weights)."""
         (residual,) = self._stage(self._before(states), shapes, states)
-        (costs,) = self._cycle(self._cycles(states), self._wanted)
-        dmp = ((shapes - wanted) ** 2).sum()
+        (costs,) = self._cycle(self._cycles(states), self._goals)
+        dmp = ((shapes - targets) ** 2).sum()
         return np.array([(residual**2).sum() / self.total, costs.sum(), dmp / self.total])
 
     def system(
-        self, states: np.ndarray, shapes: np.ndarray, wanted: np.ndarray, physics: float, dmp: float
+        self,
+        states: np.ndarray,
+        shapes: np.ndarray,
+        targets: np.ndarray,
+        physics: float,
+        dmp: float,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return gradient and Hessian entries of physics E_phys + E_obj + dmp E_dmp."""
         residual, jacobian = self._stage_jacobian(self._before(states), shapes, states)
         jacobian = jacobian.reshape(self.total, -1, self.nt)  # transposed
-        gradient_cycle, hessian_cycle = self._cycle_derivatives(self._cycles(states), self._wanted)
+        gradient_cycle, hessian_cycle = self._cycle_derivatives(self._cycles(states), self._goals)
         factor = 2 * physics / self.total
         gradient = np.zeros(self.size + 1)  # the last entry takes what belongs to fixed starts
         np.add.at(gradient, self._stage_index, factor * np.einsum("mai,mi->ma", jacobian, residual))
         np.add.at(gradient, self._cycle_index.ravel(), gradient_cycle.ravel())
-        gradient[self._shape_index] += 2 * dmp / self.total * (shapes - wanted).ravel()
+        gradient[self._shape_index] += 2 * dmp / self.total * (shapes - targets).ravel()
         diagonal = np.zeros(self.size)
         diagonal[self._shape_index] = 2 * dmp / self.total
         blocks = factor * jacobian @ jacobian.transpose(0, 2, 1)
@@ -222,13 +227,13 @@ class Trajectories:
         self,
         states: np.ndarray,
         shapes: np.ndarray,
-        wanted: np.ndarray,
+        targets: np.ndarray,
         physics: float,
         dmp: float,
         iterations: int,
         damping: float,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """Minimise physics E_phys + E_obj + dmp E_dmp over states and shapes; w is in `wanted`.
+        """Minimise physics E_phys + E_obj + dmp E_dmp over states and shapes; w is in `targets`.
 
         Gauss-Newton for E_phys, Newton for the rest, with Levenberg-Marquardt's damping.
 
@@ -236,17 +241,17 @@ class Trajectories:
             states, shapes, the three parts without weights, and the damping to go on with.
         """
         weights = np.array([physics, 1.0, dmp])
-        parts = self.parts(states, shapes, wanted)
+        parts = self.parts(states, shapes, targets)
         metric = np.concatenate([self.scale, np.full(self.r, _SHAPE)]) ** 2 / self.total
         metric = np.tile(metric, self.total)
         for _ in range(iterations):
-            gradient, entries = self.system(states, shapes, wanted, physics, dmp)
+            gradient, entries = self.system(states, shapes, targets, physics, dmp)
             before = weights @ parts
             for _ in range(_TRIALS):
                 step = self.solve(entries, damping * metric, -gradient)
                 new = self.move(states, shapes, step)
                 try:
-                    new_parts = self.parts(new[0], new[1], wanted)
+                    new_parts = self.parts(new[0], new[1], targets)
                 except RuntimeError:  # a step from there does not converge: too far
                     new_parts = np.full(3, np.inf)
                 if weights @ new_parts < before:

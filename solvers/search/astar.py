@@ -57,8 +57,8 @@ class AstarPlanner:
 
     def _plan(self, points: np.ndarray, target: np.ndarray) -> int | None:
         for margin in MARGINS:
-            wanted = self.radius + margin
-            gait = search(self.outlook, self.steps, points, wanted, self.radius, target)
+            clearance = self.radius + margin
+            gait = search(self.outlook, self.steps, points, clearance, self.radius, target)
             if gait is not None:
                 return gait
         return None
@@ -68,7 +68,7 @@ def search(
     outlook: Outlook,
     steps: Manoeuvres,
     points: np.ndarray,
-    wanted: float,
+    clearance: float,
     least: float,
     target: np.ndarray,
 ) -> int | None:
@@ -78,7 +78,7 @@ def search(
         outlook: estimates what is left.
         steps: of the search.
         points: (p, d) what to keep away from, m, in the robot's frame.
-        wanted: clearance that cycles keep, m; where there is less already, cycles may gain some, or
+        clearance: that cycles keep, m; where there is less already, cycles may gain some, or
             turn the robot in its place.
         least: clearance that cycles keep in any case, m.
         target: (d,) m, in the robot's frame.
@@ -102,7 +102,7 @@ def search(
                 closed.add(key)
                 chosen.append(node)
         start, turned = position[chosen], frames[chosen]
-        parent, step = np.nonzero(_free(steps, points, start, turned, wanted, least))
+        parent, step = np.nonzero(_free(steps, points, start, turned, clearance, least))
         if not len(step):
             continue
         new = slice(made, made + len(step))
@@ -128,20 +128,20 @@ def _free(
     points: np.ndarray,
     position: np.ndarray,
     frames: np.ndarray,
-    wanted: float,
+    clearance: float,
     least: float,
 ) -> np.ndarray:
     """Return (n, M) which steps may be taken at poses (n, d), (n, d, d); see `search`."""
     offset = points - position[:, None]
-    close = (np.einsum("npd,npd->np", offset, offset) < (steps.reach + wanted) ** 2).any(0)
+    close = (np.einsum("npd,npd->np", offset, offset) < (steps.reach + clearance) ** 2).any(0)
     if not close.any():
         return np.ones((len(position), len(steps.first)), bool)
     local = (offset[:, close] @ frames).reshape(-1, points.shape[1])
     shape = (len(position), -1, len(steps.start))
     here, end, way = (a.reshape(shape).min(1) for a in steps.distances2(local))
-    turns = steps.in_place & (way > (0.5 * (wanted + least)) ** 2)
-    gains = (here < wanted**2) & ((end > here) | turns)
-    return steps.free((way >= least**2) & ((way >= wanted**2) | gains))
+    turns = steps.in_place & (way > (0.5 * (clearance + least)) ** 2)
+    gains = (here < clearance**2) & ((end > here) | turns)
+    return steps.free((way >= least**2) & ((way >= clearance**2) | gains))
 
 
 SOLVER = UntrainedSolver(
