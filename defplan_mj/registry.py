@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -19,7 +19,10 @@ from defplan_mj.task import TaskSpec
 TASKS = "defplan_mj.tasks"
 SOLVERS = "defplan_mj.solvers"
 DOMAINS = "defplan_mj.domains"
-KINDS = ("gait", "planner", "feedback")
+SENSORS = "defplan_mj.sensors"
+CHOICES = {"gait_solver": "gait", "planner": "planner", "feedback": "feedback"}
+"""What of a task names a solver, and of which kind."""
+KINDS = tuple(CHOICES.values())
 
 
 @dataclass(frozen=True)
@@ -65,12 +68,38 @@ def get_task(name: str) -> TaskSpec:
     Raises:
         DefplanError: there is none of that name, or its plugin is broken.
     """
-    return _get(TASKS, "task", name)
+    spec = _get(TASKS, "task", name)
+    blank = {field: kind for field, kind in CHOICES.items() if not getattr(spec, field)}
+    return (
+        replace(spec, **{f: default_solver(kind) for f, kind in blank.items()}) if blank else spec
+    )
+
+
+def default_solver(kind: str) -> str:
+    """Return the name of the solver of a kind that has `default = True`; another package's before ours.
+
+    Raises:
+        DefplanError: none has.
+    """
+    found = [e for e in solvers(kind) if not e.error and getattr(e.value, "default", False)]
+    if not found:
+        raise DefplanError(f"no {kind} solver is the default one: name one in the task")
+    return min(found, key=lambda entry: entry.package == "defplan").name
 
 
 def get_domain(name: str) -> Any:
     """Return the suite domain (a module) called `name`, e.g. 'fish'; raises as `get_task`."""
     return _get(DOMAINS, "domain", name)
+
+
+def sensors() -> list[Entry]:
+    """Return all sensors, sorted by name."""
+    return _entries(SENSORS)
+
+
+def get_sensor(name: str) -> Any:
+    """Return the sensor called `name`, e.g. 'planar-laser'; raises as `get_task`."""
+    return _get(SENSORS, "sensor", name)
 
 
 def get_solver(name: str, kind: str) -> Any:
@@ -121,6 +150,8 @@ def _check(group: str, value: Any) -> None:
     """Raise TypeError unless `value` is what the group promises."""
     if group == TASKS and not isinstance(value, TaskSpec):
         raise TypeError(f"expected a TaskSpec, got {type(value).__name__}")
+    if group == SENSORS and not hasattr(value, "measure"):
+        raise TypeError("it has no method `measure`")
     if group == SOLVERS and getattr(value, "kind", None) not in KINDS:
         raise TypeError(f"its `kind` must be one of {', '.join(KINDS)}")
 

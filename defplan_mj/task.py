@@ -3,45 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.body.model import Material, Medium
+from defplan_mj.base.space import SPACES, Space
+from defplan_mj.body.options import BodyOptions
 from defplan_mj.dynamics.terrain import Terrain
-
-SPACES = {"planar": 2, "spatial": 3}
-"""Where a task navigates, and in how many dimensions."""
-
-
-@dataclass(frozen=True)
-class BodyOptions:
-    """How a mesh becomes a Body.
-
-    Attributes:
-        vertices: wanted number of tetrahedral mesh vertices (met within 2).
-        modes: r, modal coordinates.
-        basis: k, size of the displacement basis.
-        samples: number of sampled tetrahedra of the second reduction.
-        drag_error: bound of the relative error of the drag's generalised force on held-out motions;
-            as many drag points are taken as it asks for.
-        drag_points: at most.
-        length: longest extent, m (None: as the mesh file says).
-        amplitude: largest |q_i| the reduction is sampled at and gaits may ask for.
-        material, medium: see their classes.
-    """
-
-    vertices: int = 2000
-    modes: int = 5
-    basis: int = 24
-    samples: int = 16
-    drag_error: float = 0.03
-    drag_points: int = 256
-    length: float | None = 1.0
-    amplitude: float = 1.5
-    material: Material = Material()
-    medium: Medium = Medium()
+from defplan_mj.dynamics.world import World
 
 
 @dataclass(frozen=True)
@@ -131,6 +104,7 @@ class Navigation:
         laser_range: m.
         space: 'planar' (targets, obstacles and laser in the horizontal plane, in the yaw frame) or
             'spatial' (all of them in three dimensions, in the body frame).
+        sensor: what the robot senses of its surroundings, by name; '': the laser of its space.
     """
 
     distance: float = 20.0
@@ -142,6 +116,7 @@ class Navigation:
     beams: int = 64
     laser_range: float = 10.0
     space: str = "planar"
+    sensor: str = ""
 
     def __post_init__(self) -> None:
         if self.space not in SPACES:
@@ -152,6 +127,11 @@ class Navigation:
     @property
     def dimension(self) -> int:
         """Of positions and directions: 2 in the plane, 3 in space."""
+        return self.place.dimension
+
+    @property
+    def place(self) -> Space:
+        """The space itself."""
         return SPACES[self.space]
 
 
@@ -174,9 +154,11 @@ class TaskSpec:
             space is about to tilt.
         terrain: what the robot walks on; None: it swims.
         navigation: the second stage.
-        gait_solver, planner, feedback: default plugins, by name.
+        gait_solver, planner, feedback: default plugins, by name; '': the one that says of itself that
+            it is the default of its kind (`registry.get_task` fills in its name).
         rivals: gait solvers that the report compares with, if they are installed.
         shipped: files of a body and of gaits that are packaged for the task, or None.
+        skin: makes the picture that the body wears, see `host.skin.add_skin`; None: a plain one.
         paper: the paper's figures for this example (Tables I to III), for the report.
     """
 
@@ -194,12 +176,25 @@ class TaskSpec:
     axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
     terrain: Terrain | None = None
     navigation: Navigation = Navigation()
-    gait_solver: str = "shooting"
-    planner: str = "dql"
-    feedback: str = "none"
-    rivals: tuple[str, ...] = ("alternating",)  # the paper's scheme
+    gait_solver: str = ""
+    planner: str = ""
+    feedback: str = ""
+    rivals: tuple[str, ...] = ()
     shipped: tuple[Path, Path] | None = None
+    skin: Callable[[], np.ndarray] | None = None
     paper: dict = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _ = self.world  # medium and terrain have to agree
+
+    @property
+    def world(self) -> World:
+        """What surrounds the robot."""
+        return World(self.body.medium, self.terrain)
+
+    def texture(self) -> np.ndarray | None:
+        """Return the picture of the skin, or None."""
+        return None if self.skin is None else self.skin()
 
     @property
     def stepping(self) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.host.navigation import navigation_environment
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
-from defplan_mj.host.skin import texture_of
 from defplan_mj.planning.scenes import NovelScenes, Scene
 from defplan_mj.task import Navigation, TaskSpec
 
@@ -34,7 +33,7 @@ def shape_environment(
         spec.timestep,
         space=spec.navigation.space,
         terrain=spec.terrain,
-        texture=texture_of(body),
+        texture=spec.texture(),
         stepping=spec.stepping,
     )
     return control.Environment(
@@ -76,6 +75,7 @@ def navigate_environment(
         NovelScenes(there, obstacles, obstacle_speed),
         scene=scene,
         terrain=spec.terrain,
+        texture=spec.texture(),
         time_limit=time_limit,
         random=random,
         environment_kwargs=environment_kwargs,

@@ -9,6 +9,24 @@ from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec, Weights
 from defplan_tasks import environments, swimming
 from defplan_tasks.painting import blend, rise, to_picture
 
+
+def skin_texture(height: int = 256, width: int = 768) -> np.ndarray:
+    """Return the picture of the fish's left side, (height, width, 3) uint8, head to the right."""
+    across, up = np.meshgrid(np.linspace(0, 1, width), np.linspace(1, 0, height))
+    back, flank, belly = np.array([[0.10, 0.20, 0.34], [0.93, 0.50, 0.16], [0.99, 0.90, 0.72]])
+    colour = blend(flank, back, rise(up, 0.55, 0.85))
+    colour = blend(colour, belly, rise(-up, -0.42, -0.20))
+    tail = rise(-across, -0.20, -0.06)
+    colour = blend(colour, np.array([0.86, 0.27, 0.13]), 0.8 * tail)
+    for place in (0.34, 0.50, 0.66, 0.80):  # bands across the flank
+        band = np.exp(-(((across - place - 0.03 * np.sin(9 * up)) / 0.017) ** 2))
+        colour = blend(colour, back, (0.55 * band * rise(up, 0.25, 0.45)[..., 0])[..., None])
+    radius = np.hypot((across - 0.925) * 3.2, up - 0.53)
+    colour = blend(colour, np.array([0.98, 0.96, 0.88]), rise(-radius, -0.052, -0.046))
+    colour = blend(colour, np.array([0.03, 0.03, 0.05]), rise(-radius, -0.032, -0.027))
+    return to_picture(colour)
+
+
 SWIM = TaskSpec(
     name="fish-swim",
     description="a fish swims to targets among upright cylinders (the paper's first example)",
@@ -24,7 +42,12 @@ SWIM = TaskSpec(
     gait_steps=576,
     weights=Weights(effort=0.15, style="sideways"),
     navigation=Navigation(),
+    gait_solver="shooting",
+    planner="dql",
+    feedback="none",
+    rivals=("alternating",),  # the paper's scheme
     shipped=environments.shipped("fish_body", "fish_gait"),
+    skin=skin_texture,
     # Tables I to III; hours are the paper's own, tasks in its order: left, right, forward.
     paper={
         "vertices": 2118,
@@ -32,8 +55,8 @@ SWIM = TaskSpec(
         "full_step_s": 2.5,
         "reduced_step_s": 0.07,
         "gait_h": 1.7,
-        "dql_h": 2.5,
-        "cnn_h": 0.7,
+        "planner_h": 2.5,
+        "features_h": 0.7,
         "k2": 10,
         "k2_success": 1.0,
         "tasks": ("left", "right", "forward"),
@@ -71,20 +94,3 @@ def navigate(body=None, gait=None, **kwargs):
     body = body or environments.packaged_body("fish_body")
     gait = gait or environments.packaged_gait("fish_gait")
     return environments.navigate_environment(SWIM, body, gait, **kwargs)
-
-
-def skin_texture(height: int = 256, width: int = 768) -> np.ndarray:
-    """Return the picture of the fish's left side, (height, width, 3) uint8, head to the right."""
-    across, up = np.meshgrid(np.linspace(0, 1, width), np.linspace(1, 0, height))
-    back, flank, belly = np.array([[0.10, 0.20, 0.34], [0.93, 0.50, 0.16], [0.99, 0.90, 0.72]])
-    colour = blend(flank, back, rise(up, 0.55, 0.85))
-    colour = blend(colour, belly, rise(-up, -0.42, -0.20))
-    tail = rise(-across, -0.20, -0.06)
-    colour = blend(colour, np.array([0.86, 0.27, 0.13]), 0.8 * tail)
-    for place in (0.34, 0.50, 0.66, 0.80):  # bands across the flank
-        band = np.exp(-(((across - place - 0.03 * np.sin(9 * up)) / 0.017) ** 2))
-        colour = blend(colour, back, (0.55 * band * rise(up, 0.25, 0.45)[..., 0])[..., None])
-    radius = np.hypot((across - 0.925) * 3.2, up - 0.53)
-    colour = blend(colour, np.array([0.98, 0.96, 0.88]), rise(-radius, -0.052, -0.046))
-    colour = blend(colour, np.array([0.03, 0.03, 0.05]), rise(-radius, -0.032, -0.027))
-    return to_picture(colour)

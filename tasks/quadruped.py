@@ -12,6 +12,24 @@ from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec, Weights
 from defplan_tasks import environments, swimming, walking
 from defplan_tasks.painting import blend, rise, to_picture
 
+
+def skin_texture(height: int = 384, width: int = 384) -> np.ndarray:
+    """Return the body's picture, (height, width, 3) uint8: coral above, legs dark towards pale feet.
+
+    It is projected along y, so that it depends on the height mostly, which all sides share.
+    """
+    across, up = np.meshgrid(np.linspace(-1, 1, width), np.linspace(1, 0, height))
+    crown, bell, leg, foot = np.array(
+        [[0.96, 0.70, 0.36], [0.90, 0.37, 0.26], [0.50, 0.14, 0.28], [0.98, 0.88, 0.66]]
+    )
+    colour = blend(leg, bell, rise(up, 0.35, 0.75))
+    colour = blend(colour, crown, rise(up, 0.86, 0.97))
+    for place in (0.22, 0.36, 0.50):  # rings around the legs
+        ring = np.exp(-(((up - place - 0.012 * np.cos(14 * across)) / 0.018) ** 2))
+        colour = blend(colour, bell, (0.8 * ring)[..., None])
+    return to_picture(blend(colour, foot, rise(-up, -0.13, -0.06)))
+
+
 TURN, ADVANCE = 0.45, 0.55  # wanted of a cycle: rad, m
 
 SWIM = TaskSpec(
@@ -42,7 +60,12 @@ SWIM = TaskSpec(
     weights=Weights(turn=6.0, move=6.0, drift=6.0, roll=1.0, effort=0.15, style="pulse"),
     axis=(0.0, 0.0, 1.0),
     navigation=Navigation(k2=30, beams=128, space="spatial"),
+    gait_solver="shooting",
+    planner="dql",
+    feedback="none",
+    rivals=("alternating",),  # the paper's scheme
     shipped=environments.shipped("quadruped_body", "quadruped_gait"),
+    skin=skin_texture,
     # Tables I to III; hours are the paper's own.
     paper={
         "vertices": 1054,
@@ -50,8 +73,8 @@ SWIM = TaskSpec(
         "full_step_s": 5.2,
         "reduced_step_s": 0.17,
         "gait_h": 5.2,
-        "dql_h": 11.0,
-        "cnn_h": 9.12,
+        "planner_h": 11.0,
+        "features_h": 9.12,
         "k2": 30,
         "k2_success": 1.0,
         "tasks": ("front", "back", "left", "right", "forward"),
@@ -68,13 +91,14 @@ WALK = walking.walk_spec(
     mesh="quadruped.obj",
     vertices=1054,
     shipped=environments.shipped("quadruped_walker_body", "quadruped_walker_gait"),
+    skin=skin_texture,
     gait_solver="cio-shooting",  # it trots: shooting alone finds other patterns, and skates more
     paper={
         "full_step_s": 2.1,
         "reduced_step_s": 0.11,
         "gait_h": 2.5,
-        "dql_h": 3.3,
-        "cnn_h": 1.51,
+        "planner_h": 3.3,
+        "features_h": 1.51,
         "rotation_mean": (0.083, 0.132, 0.071, 0.129),
         "rotation_sd": (0.104, 0.107, 0.107, 0.105),
         "translation_mean": (1.963, 0.67, 0.93, 1.64),
@@ -143,20 +167,3 @@ def navigate(body=None, gait=None, **kwargs):
     body = body or environments.packaged_body("quadruped_walker_body")
     gait = gait or environments.packaged_gait("quadruped_walker_gait")
     return environments.navigate_environment(WALK, body, gait, **kwargs)
-
-
-def skin_texture(height: int = 384, width: int = 384) -> np.ndarray:
-    """Return the body's picture, (height, width, 3) uint8: coral above, legs dark towards pale feet.
-
-    It is projected along y, so that it depends on the height mostly, which all sides share.
-    """
-    across, up = np.meshgrid(np.linspace(-1, 1, width), np.linspace(1, 0, height))
-    crown, bell, leg, foot = np.array(
-        [[0.96, 0.70, 0.36], [0.90, 0.37, 0.26], [0.50, 0.14, 0.28], [0.98, 0.88, 0.66]]
-    )
-    colour = blend(leg, bell, rise(up, 0.35, 0.75))
-    colour = blend(colour, crown, rise(up, 0.86, 0.97))
-    for place in (0.22, 0.36, 0.50):  # rings around the legs
-        ring = np.exp(-(((up - place - 0.012 * np.cos(14 * across)) / 0.018) ** 2))
-        colour = blend(colour, bell, (0.8 * ring)[..., None])
-    return to_picture(blend(colour, foot, rise(-up, -0.13, -0.06)))

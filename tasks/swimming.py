@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import collections
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from dm_control.rl import control
 from dm_control.suite import base
 from dm_control.utils import rewards
 
+from defplan_mj.base.space import PLANE, SPACE
 from defplan_mj.body.model import Body
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import TARGET
@@ -31,6 +34,33 @@ def swim_environment(
     return shape_environment(spec, body, Swim(random=random), time_limit, environment_kwargs)
 
 
+def _level_direction(random: np.random.RandomState) -> np.ndarray:
+    angle = random.uniform(-np.pi, np.pi)
+    return np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+def _nearly_level(random: np.random.RandomState) -> np.ndarray:
+    """Return a heading and a slight tilt, a unit quaternion w x y z."""
+    yaw, tilt = random.uniform(-np.pi, np.pi), random.uniform(-1, 1, size=2)
+    return _unit(np.array([np.cos(yaw / 2), *(0.5 * _TILT * tilt), np.sin(yaw / 2)]))
+
+
+@dataclass(frozen=True)
+class Start:
+    """How an episode begins in a space: draws of the target's direction and of the body's attitude."""
+
+    direction: Callable[[np.random.RandomState], np.ndarray]
+    attitude: Callable[[np.random.RandomState], np.ndarray]
+
+
+STARTS = {
+    PLANE.name: Start(_level_direction, _nearly_level),
+    SPACE.name: Start(
+        lambda random: _unit(random.normal(size=3)), lambda random: _unit(random.normal(size=4))
+    ),
+}
+
+
 class Swim(base.Task):
     """Swim to a target at one body length a second: in the plane upright, in space anyhow."""
 
@@ -42,34 +72,21 @@ class Swim(base.Task):
         In the plane the target lies on the horizon and the body is nearly level; in space both
         the target's direction and the attitude are random.
         """
-        planar = physics.space == "planar"
-        direction, distance = self._direction(planar), self.random.uniform(*_TARGET_DISTANCE)
+        start = STARTS[physics.space]
+        direction, distance = start.direction(self.random), self.random.uniform(*_TARGET_DISTANCE)
         physics.named.model.site_pos[TARGET] = distance * direction
         physics.named.model.site_size[TARGET] = _TARGET_RADIUS
-        physics.data.qpos[3:7] = self._attitude(planar)
+        physics.data.qpos[3:7] = start.attitude(self.random)
         r = physics.n_modes
         physics.data.qpos[7 : 7 + r] = _BEND * self.random.uniform(-1, 1, size=r)
         super().initialize_episode(physics)
-
-    def _direction(self, planar: bool) -> np.ndarray:
-        if planar:
-            angle = self.random.uniform(-np.pi, np.pi)
-            return np.array([np.cos(angle), np.sin(angle), 0.0])
-        return _unit(self.random.normal(size=3))
-
-    def _attitude(self, planar: bool) -> np.ndarray:
-        """Return a unit quaternion w x y z: a heading and a slight tilt, or any attitude alike."""
-        if planar:
-            yaw, tilt = self.random.uniform(-np.pi, np.pi), self.random.uniform(-1, 1, size=2)
-            return _unit(np.array([np.cos(yaw / 2), *(0.5 * _TILT * tilt), np.sin(yaw / 2)]))
-        return _unit(self.random.normal(size=4))
 
     def get_observation(self, physics: Physics) -> collections.OrderedDict:
         """Return shape, uprightness (in the plane), target and velocities, all in the body's frame."""
         frame = physics.orientation()
         observation = collections.OrderedDict()
         observation["shape"] = physics.shape()
-        if physics.space == "planar":
+        if physics.place.level:
             observation["upright"] = np.array([physics.upright()])
         observation["target"] = _to_target(physics) @ frame
         observation["velocity"] = np.concatenate(
@@ -92,7 +109,7 @@ class Swim(base.Task):
                 value_at_margin=0,
                 sigmoid="linear",
             )
-        if physics.space == "planar":
+        if physics.place.level:
             swimming *= (1 + physics.upright()) / 2
         return float(swimming)
 

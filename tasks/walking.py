@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from dm_control.rl import control
 
-from defplan_mj.body.model import Body, Material, Medium
+from defplan_mj.body.model import Body, Material
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.dynamics.terrain import Terrain
+from defplan_mj.dynamics.world import GROUND
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import TARGET
 from defplan_mj.task import BodyOptions, GaitTask, TaskSpec, Weights
 from defplan_tasks import environments, swimming
 
-AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
-GROUND = Terrain()
 WEIGHTS = Weights(turn=3.0, move=8.0, drift=8.0, tilt=3.0, slip=0.8)
 ADVANCE = 0.4  # wanted of a cycle, m
 
@@ -39,6 +38,7 @@ def walk_spec(
     mesh: str,
     vertices: int,
     shipped: tuple[Path, Path],
+    skin: Callable[[], np.ndarray],
     gait_solver: str,
     paper: dict,
 ) -> TaskSpec:
@@ -48,6 +48,7 @@ def walk_spec(
         mesh: file among the assets.
         vertices: wanted number of tetrahedral mesh vertices.
         shipped: files of its body and gaits.
+        skin: makes the picture it wears.
         gait_solver: the default one.
         paper: Tables I to III; hours are the paper's own.
     """
@@ -65,16 +66,19 @@ def walk_spec(
             length=1.0,
             # as much as implicit Euler at 0.03 s used to add, (1 + k_c) h: with less a walker wobbles
             material=Material(youngs_modulus=1e6, damping=0.15),
-            medium=AIR,
+            medium=GROUND.medium,
         ),
         timestep=0.015,
         steps_per_cycle=46,
         gait_tasks=walking_tasks(),
         gait_steps=400,
         weights=WEIGHTS,
-        terrain=GROUND,
+        terrain=GROUND.terrain,
         shipped=shipped,
+        skin=skin,
         gait_solver=gait_solver,
+        planner="dql",
+        feedback="none",
         rivals=("cio", "cio-alternating"),  # what the paper walks by, all at once and by turns
         paper={
             "dof": 16,

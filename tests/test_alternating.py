@@ -11,8 +11,8 @@ from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.task import GaitTask, Weights
-from defplan_solvers.alternating import SOLVER, Fit
-from defplan_solvers.trajectories import Trajectories
+from defplan_solvers.gait.alternating import SOLVER, Fit
+from defplan_solvers.gait.trajectories import Trajectories
 
 SEQUENCES = [[0, 1, 0], [1, 1, 0]]
 PHYSICS, DMP = 30.0, 0.7

@@ -6,16 +6,16 @@ import pytest
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.rigid import RigidDynamics
-from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.frames import attitude_frames
 from defplan_mj.planning.scenes import SceneBatch, novel_scenes
+from defplan_mj.planning.sensors.laser import beam_directions
 from defplan_mj.planning.surrogate import Motions
 from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
-from defplan_solvers import astar, greedy
-from defplan_solvers.laser_map import LaserMap
-from defplan_solvers.manoeuvres import Manoeuvres
-from defplan_solvers.outlook import Outlook
+from defplan_solvers.search import astar, greedy
+from defplan_solvers.search.laser_map import LaserMap
+from defplan_solvers.search.manoeuvres import Manoeuvres
+from defplan_solvers.search.outlook import Outlook
 
 NAVIGATION = Navigation()
 SPATIAL = Navigation(space="spatial", beams=128, k2=30)

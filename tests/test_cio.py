@@ -19,12 +19,14 @@ from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import measure_cycles
 from defplan_mj.task import BodyOptions, GaitTask
 from defplan_mj.task import Weights as Objective
-from defplan_solvers import cio, cio_newton, shooting
-from defplan_solvers.cio_model import pads, walker_of
-from defplan_solvers.cio_newton import ContactInvariant, Iterate
-from defplan_solvers.cio_start import PATTERNS, foot_forces, starts
-from defplan_solvers.cio_terms import Weights
-from defplan_solvers.shooting_walk import Walking, solvable
+from defplan_solvers.cio import newton as cio_newton
+from defplan_solvers.cio import solver as cio
+from defplan_solvers.cio.model import pads, walker_of
+from defplan_solvers.cio.newton import ContactInvariant, Iterate
+from defplan_solvers.cio.start import PATTERNS, foot_forces, starts
+from defplan_solvers.cio.terms import Weights
+from defplan_solvers.gait import shooting
+from defplan_solvers.gait.shooting_walk import Walking, solvable
 from defplan_tasks.environments import ASSETS
 
 GRAVITY = 9.81

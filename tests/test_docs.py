@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from defplan_mj.cli.parser import build
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.task import Navigation, TaskSpec
+from defplan_mj.task import GaitTask, Navigation, TaskSpec
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
@@ -62,6 +64,21 @@ def test_every_command_and_option_has_its_place_on_the_command_line_page():
             for option in action.option_strings:
                 if option.startswith("--") and option != "--help":
                     assert option in text, f"{name} {option}"
+
+
+def test_the_plugin_page_s_gait_solver_solves(small_fish):
+    blocks = python_blocks(ROOT / "docs/plugins.md")
+    page: dict = {}
+    exec(next(b for b in blocks if "class HillClimber" in b), page)
+    problem = GaitProblem(ReducedDynamics(small_fish), (GaitTask("forward"),), 11, gait_steps=22)
+    told = []
+    solver = page["HillClimber"](iterations=30)
+    gait = solver.solve(problem, 1, lambda message, fraction: told.append(fraction))
+    cost = problem.objective(problem.switching_sequences(np.random.default_rng(1)))
+    assert float(cost(problem.w_of(gait))) == pytest.approx(gait.meta["objective"])
+    assert gait.meta["objective"] < 0.9 * gait.meta["history"][0]
+    assert told[-1] == 1.0
+    assert np.array_equal(gait.alpha, solver.solve(problem, 1).alpha)
 
 
 def test_the_plugin_page_s_planner_and_task_work(tmp_path):

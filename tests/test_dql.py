@@ -9,15 +9,15 @@ import pytest
 import torch
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes
+from defplan_mj.planning.sensors.laser import beam_directions
 from defplan_mj.planning.surrogate_env import run_on_surrogate
 from defplan_mj.task import Navigation
-from defplan_solvers.dql import SOLVER, DqlPlanner, QNetwork
-from defplan_solvers.dql_ablations import CHANGES, ablate
-from defplan_solvers.dql_training import Recipe, _reward, _Robots, train
+from defplan_solvers.dql.ablations import CHANGES, ablate
+from defplan_solvers.dql.dql import SOLVER, DqlPlanner, QNetwork
+from defplan_solvers.dql.training import Recipe, _reward, _Robots, train
 
 NAVIGATION = Navigation()
 SPATIAL = Navigation(k2=30, beams=128, space="spatial")

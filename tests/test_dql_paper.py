@@ -9,13 +9,13 @@ import torch
 from torch.nn import functional
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.scenes import training_scenes
+from defplan_mj.planning.sensors.laser import beam_directions
 from defplan_mj.planning.surrogate_env import SurrogateEnv
 from defplan_mj.task import Navigation
-from defplan_solvers import dql
-from defplan_solvers.dql_paper import DqlPaperSolver, PaperConfiguration
-from defplan_solvers.dql_paper_training import PaperNetwork, nearest_obstacles, pretrain, taps
+from defplan_solvers.dql import dql
+from defplan_solvers.dql.paper import DqlPaperSolver, PaperConfiguration
+from defplan_solvers.dql.paper_training import PaperNetwork, nearest_obstacles, pretrain, taps
 
 NAVIGATION = Navigation()
 SPATIAL = Navigation(k2=30, beams=128, space="spatial")

@@ -12,11 +12,11 @@ import pytest
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Heightfield, Terrain, TerrainGeom
 from defplan_mj.gait.gait import Gait
+from defplan_mj.host.evaluation import evaluate
 from defplan_mj.host.navigation import navigation_environment
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.render import render_states
 from defplan_mj.host.scene import build_spec, compile_model
-from defplan_mj.planning.evaluation import evaluate
 from defplan_mj.task import Navigation
 
 TIMESTEP = 0.02

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.frames import attitude_frames, turns
+from defplan_mj.planning.sensors.laser import beam_directions
 from defplan_mj.planning.surrogate_env import scan as surrogate_scan
 
 CIRCLES = [(4.0, 1.0, 1.0), (-3.0, 2.0, 0.7), (1.0, -6.0, 2.0), (7.0, 8.0, 1.5)]

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.host.looks import DRAWN_HALF_HEIGHT, DRAWN_HEIGHT
 from defplan_mj.host.obstacles import max_obstacles
-from defplan_mj.host.scene import DRAWN_HALF_HEIGHT, DRAWN_HEIGHT, SOLID_HALF_HEIGHT
+from defplan_mj.host.scene import SOLID_HALF_HEIGHT
 from defplan_mj.planning.scenes import Scene
 
 

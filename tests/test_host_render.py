@@ -11,7 +11,9 @@ import pytest
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.host import render
 from defplan_mj.host.render import motes_around, render_states
+from defplan_tasks.fish import skin_texture
 
+SKIN = skin_texture()
 SIZE = (128, 96)
 
 
@@ -30,7 +32,9 @@ def _orange(frame: np.ndarray) -> np.ndarray:
 @pytest.mark.usefixtures("rendering")
 def test_frames_show_the_fish_move(states):
     ends = states[[0, -1]]
-    frames = render_states(samples.fish(), ends, size=SIZE, camera="side", timestep=0.5, fps=2)
+    frames = render_states(
+        samples.fish(), ends, size=SIZE, camera="side", timestep=0.5, fps=2, texture=SKIN
+    )
     assert len(frames) == 2
     first, last = frames
     assert first.shape == (96, 128, 3) and first.dtype == np.uint8
@@ -42,7 +46,9 @@ def test_frames_show_the_fish_move(states):
 @pytest.mark.parametrize("camera", ["chase", "top", "map", "overview"])
 def test_cameras_see_fish_and_obstacles(states, camera):
     scene = samples.scene([(1.2, 0.9, 0.4)], target=(2.5, 0.0, 0.0))
-    [frame] = render_states(samples.fish(), states[:1], scene, size=SIZE, camera=camera)
+    [frame] = render_states(
+        samples.fish(), states[:1], scene, size=SIZE, camera=camera, texture=SKIN
+    )
     blue = (frame[..., 2].astype(int) > frame[..., 0] + 80) & (frame[..., 2] > frame[..., 1] + 50)
     assert _orange(frame).any() and blue.sum() > 30
 
@@ -64,7 +70,9 @@ def test_everything_is_in_the_picture_from_afar(states, camera, target):
         balls = balls[:1]
     for ball in balls:
         scene = samples.spheres([ball], target=target)
-        [frame] = render_states(samples.fish(), states[:1], scene, size=SIZE, camera=camera)
+        [frame] = render_states(
+            samples.fish(), states[:1], scene, size=SIZE, camera=camera, texture=SKIN
+        )
         blue = _blue(frame)
         assert blue.sum() > 15
         assert not (blue[[0, -1]].any() or blue[:, [0, -1]].any())

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import host_samples as samples
 import mujoco
 import numpy as np
 
-from defplan_mj.host.skin import shaded_texture
+from defplan_mj.host.scene import build_spec
+from defplan_mj.host.skin import shaded_texture, texture_of
+from defplan_mj.registry import get_task
 
 
 def _drawn(physics) -> np.ndarray:
@@ -48,3 +52,12 @@ def test_skin_of_the_rest_shape_is_the_mesh():
 def test_default_skin_is_dark_above():
     picture = shaded_texture()
     assert picture.dtype == np.uint8 and picture[0].sum() < picture[-1].sum()
+
+
+def test_a_body_wears_the_skin_of_its_task_whatever_it_is_called():
+    assert np.array_equal(texture_of("fish-swim"), get_task("fish-swim").skin())
+    assert texture_of("no-such-task") is None
+    mine = replace(samples.fish(), name="fish")  # a user's own fish.stl
+    spec = build_spec(mine, 0.04)
+    picture = next(t for t in spec.textures if t.name == "self")
+    assert bytes(picture.data) == shaded_texture().tobytes()

@@ -20,9 +20,9 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.switching import heading, wrap
 from defplan_mj.host.navigation import navigation_environment
 from defplan_mj.task import Navigation
-from defplan_solvers import ilqg
-from defplan_solvers.ilqg import BodyModel, Ilqg, Options
-from defplan_solvers.ilqg_step import Cost, Guide, box_minimum, cost_to_go, optimise
+from defplan_solvers.feedback import ilqg
+from defplan_solvers.feedback.ilqg import BodyModel, Ilqg, Options
+from defplan_solvers.feedback.ilqg_step import Cost, Guide, box_minimum, cost_to_go, optimise
 
 ASSETS = Path(__file__).parents[1] / "tasks" / "assets"
 

@@ -26,11 +26,11 @@ from scipy.spatial.transform import Rotation
 from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.rigid import RigidDynamics
-from defplan_mj.log import schemas
+from defplan_mj.log import channels, schemas
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.run_files import RunFiles
-from defplan_mj.planning.beams import beam_directions
+from defplan_mj.planning.sensors.laser import beam_directions
 
 STEPPING = {"substeps": 2, "integrator": "variational"}
 
@@ -79,9 +79,9 @@ def test_configuration_scene_and_parts_are_read_back(logged):
 
 def test_every_channel_has_its_schema_and_decodes_with_it(logged):
     found = {topic: name for topic, name, _, _ in logged[2]}
-    expected = {topic: kind.DESCRIPTOR.full_name for topic, kind in schemas.CHANNELS.items()}
+    expected = {c.topic: c.message.DESCRIPTOR.full_name for c in channels.CHANNELS}
     # what a planar episode in which nothing pushes has no use for
-    for topic in (schemas.LASER_POINTS, schemas.FORCES, schemas.ARROWS):
+    for topic in (channels.LASER_POINTS, channels.FORCES, channels.ARROWS):
         expected.pop(topic)
     assert found == expected
     assert expected["/robot/mesh"] == "foxglove.SceneUpdate"
@@ -232,7 +232,7 @@ def test_force_arrows_point_along_the_forces(spatial):
 
 
 def test_time_never_runs_backwards_on_a_channel(logged):
-    for topic in schemas.CHANNELS:
+    for topic in channels.by_topic():
         times = [t for name, _, t, _ in logged[2] if name == topic]
         assert times == sorted(times), topic
 

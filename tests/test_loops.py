@@ -9,9 +9,9 @@ from defplan_mj.planning.outcome import SUCCESS
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
-from defplan_solvers.greedy import GreedyPlanner
-from defplan_solvers.loops import SAME, VISIT, LoopBreaker
-from defplan_solvers.odometry import Odometry
+from defplan_solvers.search.greedy import GreedyPlanner
+from defplan_solvers.search.loops import SAME, VISIT, LoopBreaker
+from defplan_solvers.search.odometry import Odometry
 
 NAVIGATION = Navigation()
 SPATIAL = Navigation(space="spatial", beams=128, k2=30)

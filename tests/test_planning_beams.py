@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import SphericalVoronoi
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.planning.beams import beam_directions
+from defplan_mj.planning.sensors.laser import beam_directions
 from defplan_mj.task import Navigation
 
 

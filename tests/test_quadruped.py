@@ -90,7 +90,7 @@ def test_observation_is_in_the_bodys_frame():
 
 
 def test_skin_is_painted_alike_on_all_sides():
-    picture = texture_of(samples.quadruped())
+    picture = texture_of("quadruped-swim")
     assert picture is not None and picture.dtype == np.uint8
     assert np.array_equal(picture, picture[:, ::-1])  # left and right
     crown, leg, foot = (picture[round(share * 383), 192].astype(int) for share in (0.02, 0.72, 1))

@@ -1,5 +1,6 @@
 """The registry: what is installed is found; what is unknown or broken is named and harms no other."""
 
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 
 import pytest
@@ -16,11 +17,19 @@ class Solver:
     summary = "always straight ahead"
 
 
+class Preferred(Solver):
+    """One that is meant if none is named."""
+
+    name = "preferred"
+    default = True
+
+
 class Shapeless:
     """A plugin that forgot to say its kind."""
 
 
 SOLVER = Solver()
+PREFERRED = Preferred()
 SHAPELESS = Shapeless()
 
 
@@ -105,3 +114,22 @@ def test_a_name_of_another_package_goes_before_our_own(monkeypatch):
     for order in (points, points[::-1]):
         monkeypatch.setattr(registry, "entry_points", lambda group, order=order: order)
         assert registry.get_solver("mine", "planner") is SOLVER
+
+
+def test_a_task_that_names_no_solvers_has_the_default_ones_and_one_that_does_keeps_them(
+    monkeypatch,
+):
+    spec = registry.get_task("fish-swim")
+    named = replace(spec, gait_solver="", planner="greedy", feedback="")
+    monkeypatch.setattr(registry, "_get", lambda group, label, name: named)
+    found = registry.get_task("mine")
+    assert (found.gait_solver, found.planner, found.feedback) == ("shooting", "greedy", "none")
+
+
+def test_a_default_solver_of_another_package_goes_before_ours(installed):
+    installed(mine=f"{__name__}:SOLVER", preferred=f"{__name__}:PREFERRED")
+    assert registry.default_solver("planner") == "preferred"
+    with pytest.raises(
+        DefplanError, match="no gait solver is the default one: name one in the task"
+    ):
+        registry.default_solver("gait")

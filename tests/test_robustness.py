@@ -25,7 +25,7 @@ from defplan_mj.studies.robustness import (
     world,
 )
 from defplan_mj.task import BodyOptions
-from defplan_solvers.open_loop import SOLVER as NONE
+from defplan_solvers.feedback.open_loop import SOLVER as NONE
 
 ASSETS = Path(__file__).parents[1] / "tasks" / "assets"
 PACKAGED = {

@@ -11,7 +11,7 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import evaluate_switching
-from defplan_solvers.shooting import SOLVER, Shooting
+from defplan_solvers.gait.shooting import SOLVER, Shooting
 from defplan_tasks import quadruped
 from defplan_tasks.environments import ASSETS
 from defplan_tasks.fish import SWIM

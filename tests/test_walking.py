@@ -19,9 +19,9 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import evaluate_switching, measure_cycles
 from defplan_mj.kernel.contact_points import contact_points
-from defplan_solvers import shooting_walk
-from defplan_solvers.shooting import Shooting
-from defplan_solvers.shooting_walk import Trace, Walking, hardest, random_tasks
+from defplan_solvers.gait import shooting_walk
+from defplan_solvers.gait.shooting import Shooting
+from defplan_solvers.gait.shooting_walk import Trace, Walking, hardest, random_tasks
 from defplan_tasks import environments, quadruped, tee, walking
 
 SPECS = {"quadruped": quadruped.WALK, "tee": tee.WALK}

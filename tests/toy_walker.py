@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from defplan_mj.dynamics.symbolic import quaternion_matrix, quaternion_product
-from defplan_solvers.cio_model import Walker
+from defplan_solvers.cio.model import Walker
 
 MASS, INERTIA, STAND, STIFF = 2.0, 0.05, 0.3, 0.7
 HOME = np.array(

@@ -15,11 +15,11 @@ from defplan_mj.body.cubature import drag_points
 from defplan_mj.body.elasticity import linear_modes
 from defplan_mj.body.meshing import fill
 from defplan_mj.body.model import LIMITS, Body
+from defplan_mj.body.options import BodyOptions
 from defplan_mj.body.reduction import reduce_shapes
 from defplan_mj.body.rotation_strain import RotationStrain, feature_map
 from defplan_mj.body.surface import Surface, load_mesh
 from defplan_mj.body.tetmesh import TetMesh, boundary, lumped_mass, quality, volumes
-from defplan_mj.task import BodyOptions
 
 _ROTATION, _STRAIN = 1.0, 0.4  # what q = 1 is about: rad of rotation, or strain
 

@@ -280,7 +280,9 @@ def _training(sub: argparse.ArgumentParser) -> None:
 
 
 def _feedback(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("--feedback", metavar="NAME", help="none, ilqg (default: the run's or task's)")
+    sub.add_argument(
+        "--feedback", metavar="NAME", help="see `defplan list` (default: the run's or task's)"
+    )
 
 
 def _task(sub: argparse.ArgumentParser) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ from dm_env import specs
 
 from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.space import PLANE, SPACE, SPACES
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain
@@ -20,9 +22,9 @@ from defplan_mj.feedback import Feedback, OpenLoop
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
-from defplan_mj.host.skin import texture_of
 from defplan_mj.planning.outcome import Outcome
-from defplan_mj.planning.scenes import SHAPES, Scene
+from defplan_mj.planning.robot import Robot
+from defplan_mj.planning.scenes import Scene
 from defplan_mj.task import Navigation
 
 COLLISION_PENALTY = 1000.0  # Eq. 2
@@ -172,8 +174,7 @@ class Navigate(base.Task):
         """Return `centre` minus the target; level in the plane."""
         scene = self._here()
         offset = centre - scene.target
-        if scene.space == "planar":
-            offset[2] = 0.0
+        offset[scene.place.dimension :] = 0.0
         return offset
 
     def get_reward(self, physics: Physics) -> float:
@@ -209,15 +210,15 @@ def reduced_observation(
     in the body frame (rad/s); modal velocities. The attitude is, in the plane, the orientation
     without yaw as a quaternion w x y z, so (11 + 2r,) in all; in space it is the whole rotation
     matrix, row by row, which has no jumps at any attitude, so (16 + 2r,). 'target' (3,): its
-    position in the frame relative to the centre of mass, m. 'laser' (beams,): see `laser.scan`.
+    position in the frame relative to the centre of mass, m. 'laser' (beams,): what the
+    task's sensor measures, see `planning.sensors`.
     """
-    planar = physics.space == "planar"
-    frame = physics.yaw_frame() if planar else physics.orientation()
+    frame = physics.planning_frame()
     centre = physics.com()
     state = np.concatenate(
         [
             centre[2:],
-            _tilt(physics) if planar else frame.ravel(),
+            _ATTITUDES[physics.space](physics),
             physics.shape(),
             physics.data.qvel[:3] @ frame,
             physics.data.qvel[3:6],
@@ -237,11 +238,18 @@ def _tilt(physics: Physics) -> np.ndarray:
     return tilt if tilt[0] >= 0 else -tilt
 
 
+_ATTITUDES: dict[str, Callable[[Physics], np.ndarray]] = {
+    PLANE.name: _tilt,
+    SPACE.name: lambda physics: physics.orientation().ravel(),
+}
+"""What is told of the attitude in each space."""
+
+
 def _check_space(space: str, scene: Scene) -> None:
     if scene.space != space:
         raise DefplanError(
             f"a {space} task cannot use a scene of {scene.shape}s: hand in a scene of"
-            f" {SHAPES[space]}s, or set navigation.space to {scene.space!r}"
+            f" {SPACES[space].obstacle}s, or set navigation.space to {scene.space!r}"
         )
 
 
@@ -257,6 +265,7 @@ def navigation_environment(
     time_limit: float = float("inf"),
     random: np.random.RandomState | int | None = None,
     max_obstacles: int = 32,
+    texture: np.ndarray | None = None,
     environment_kwargs: dict | None = None,
 ) -> control.Environment:
     """Return the navigation task of `body` with `gait` as a dm_control environment.
@@ -269,6 +278,7 @@ def navigation_environment(
         feedback: prepared for this gait; None: open loop.
         time_limit: s; a scene's own max_cycles holds anyway.
         max_obstacles: room for the obstacles of a scene.
+        texture: of the skin, see `skin.add_skin`.
 
     Raises:
         DefplanError: the gait is of another body, or asks for larger shapes than the body has.
@@ -291,8 +301,9 @@ def navigation_environment(
         beams=navigation.beams,
         laser_range=navigation.laser_range,
         space=navigation.space,
+        sensor=navigation.sensor,
         terrain=terrain,
-        texture=texture_of(body),
+        texture=texture,
         stepping=gait.stepping,
     )
     rest = ReducedDynamics(body, gait.timestep, terrain, **gait.stepping).rest_state()
@@ -311,4 +322,19 @@ def navigation_environment(
         n_sub_steps=gait.steps_per_cycle,
         time_limit=time_limit,
         **(environment_kwargs or {}),
+    )
+
+
+def robot_environment(
+    robot: Robot, navigation: Navigation, sampler: SceneSampler, **options: Any
+) -> control.Environment:
+    """Return a robot's navigation environment; `options` are those of `navigation_environment`."""
+    return navigation_environment(
+        robot.body,
+        robot.gait,
+        navigation,
+        sampler,
+        terrain=robot.world,
+        feedback=robot.prepared(navigation.space),
+        **options,
     )

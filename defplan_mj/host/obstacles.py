@@ -8,13 +8,8 @@ import mujoco
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.host.scene import (
-    DRAWN_HALF_HEIGHT,
-    DRAWN_HEIGHT,
-    PARKED,
-    SOLID_HALF_HEIGHT,
-    TARGET,
-)
+from defplan_mj.host.looks import DRAWN_HALF_HEIGHT, LOOKS
+from defplan_mj.host.scene import PARKED, SOLID_HALF_HEIGHT, TARGET
 from defplan_mj.planning.scenes import Scene
 
 RGBA = (0.24, 0.42, 0.80, 1.0)
@@ -49,8 +44,7 @@ def set_scene(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, TARGET)
     model.site_pos[site] = scene.target
     model.site_size[site] = scene.goal_radius
-    planar = scene.space == "planar"
-    shape = mujoco.mjtGeom.mjGEOM_CYLINDER if planar else mujoco.mjtGeom.mjGEOM_SPHERE
+    look = LOOKS[scene.space]
     for index in range(room):
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"obstacle_{index}")
         used = index < len(scene.radii)
@@ -64,9 +58,9 @@ def set_scene(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
         # heights differ a little: two tops in one plane would flicker where they overlap
         drawn_height = DRAWN_HALF_HEIGHT + 0.01 * index
         for geom, height in ((solid, SOLID_HALF_HEIGHT), (solid + 1, drawn_height)):
-            _set_geom(model, geom, shape, radius, height)
+            _set_geom(model, geom, look.obstacle, radius, height)
             model.geom_rgba[geom] = RGBA if used else 0  # rays do not see alpha 0
-        model.geom_pos[solid + 1] = [0.0, 0.0, DRAWN_HEIGHT if planar else 0.0]
+        model.geom_pos[solid + 1] = [0.0, 0.0, look.drawn_height]
         # the body's tree of bounding boxes holds its only solid geom
         model.bvh_aabb[model.body_bvhadr[body]] = model.geom_aabb[solid]
 

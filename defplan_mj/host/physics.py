@@ -11,14 +11,18 @@ import numpy as np
 from dm_control.mujoco import engine, wrapper
 
 from defplan_mj.base import rotations
-from defplan_mj.host import contact, laser
+from defplan_mj.base.space import OF_DIMENSION, Space
+from defplan_mj.host import contact
 from defplan_mj.host.ground import height_above
+from defplan_mj.host.laser import SceneView
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.plugin import load_plugin
-from defplan_mj.host.scene import ROBOT, TARGET, TERRAIN, LaserNumbers
+from defplan_mj.host.scene import ROBOT, TARGET, TERRAIN, LaserNumbers, text_of
 from defplan_mj.kernel.library import kernel
 from defplan_mj.kernel.pack import unpack_options
 from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.sensors.sensor import sensor_of
+from defplan_mj.task import Navigation
 
 load_plugin()  # on import, since a pickled Physics needs it before any of its code runs
 
@@ -49,8 +53,13 @@ class Physics(engine.Physics):
 
     @property
     def space(self) -> str:
-        """'planar' or 'spatial': where the robot navigates, and so what its laser sees."""
-        return laser.SPACE_OF[int(self._laser_numbers().dimension)]
+        """'planar' or 'spatial': where the robot navigates."""
+        return self.place.name
+
+    @property
+    def place(self) -> Space:
+        """The space itself."""
+        return OF_DIMENSION[int(self._laser_numbers().dimension)]
 
     @property
     def n_modes(self) -> int:
@@ -117,12 +126,16 @@ class Physics(engine.Physics):
         """Return the (3, 3) rotation by the heading about the vertical."""
         return rotations.level_matrix(self.yaw())
 
+    def planning_frame(self) -> np.ndarray:
+        """Return the (3, 3) rotation that planning turns with: by the heading, or the body's own."""
+        return self.place.frame(self.orientation())
+
     def frame(self) -> np.ndarray:
-        """Return the (3, d) axes, as columns in the world, that planning turns with: see `space`.
+        """Return its axes (3, d), as columns in the world, along which planning goes.
 
         In the plane the heading and what lies to its left (d = 2), in space the body's own axes (d = 3).
         """
-        return self.yaw_frame()[:, :2] if self.space == "planar" else self.orientation()
+        return self.planning_frame()[:, : self.place.dimension]
 
     @property
     def walks(self) -> bool:
@@ -161,17 +174,20 @@ class Physics(engine.Physics):
         return float(self._laser_numbers().range)
 
     def laser(self) -> np.ndarray:
-        """Return the (beams,) laser distances, m; see `laser.scan`."""
-        numbers = self._laser_numbers()
+        """Return what the robot's sensor measures (size,): the distances along a laser's beams, m."""
+        there = self._sensing()
         robot = self.model.name2id(ROBOT, "body")
-        return laser.scan(
-            self.model.ptr,
-            self.data.ptr,
-            self.com(),
-            self.frame(),
-            int(numbers.beams),
-            float(numbers.range),
-            robot,
+        view = SceneView(self.model.ptr, self.data.ptr, self.com(), self.frame(), robot)
+        return sensor_of(there).measure(view, there)
+
+    def _sensing(self) -> Navigation:
+        """Return what the model says of the sensor."""
+        numbers = self._laser_numbers()
+        return Navigation(
+            beams=int(numbers.beams),
+            laser_range=float(numbers.range),
+            space=self.space,
+            sensor=text_of(self.model.ptr, "sensor"),
         )
 
     # ---- acting

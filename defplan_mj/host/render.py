@@ -14,9 +14,10 @@ import numpy as np
 
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.space import PLANE
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain
-from defplan_mj.host import skin
+from defplan_mj.host.looks import LOOKS
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.planning.scenes import Scene
@@ -26,10 +27,6 @@ OVERVIEW = "overview"  # sees the whole way from behind and above
 TRAIL_RGBA = np.array([0.95, 0.98, 1.0, 1.0], np.float32)
 _TRAIL_RADIUS = {MAP: 0.06, OVERVIEW: 0.03}  # m
 _BACKENDS = ("egl", "osmesa", "glfw")
-_OVERVIEW = {
-    "planar": (20.0, -52.0),
-    "spatial": (60.0, -22.0),
-}  # degrees right of the way, and down
 _MOTE_RGBA = np.array([0.85, 0.95, 0.95, 0.55], np.float32)
 _MOTE_CELL, _MOTE_SIZE, _MOTE_REACH = 1.25, 0.006, 5  # m; m; cells to each side
 
@@ -131,6 +128,7 @@ def render_states(
     timestep: float = 0.04,
     trail: bool = True,
     terrain: Terrain | None = None,
+    texture: np.ndarray | None = None,
 ) -> list[np.ndarray]:
     """Draw states in their scene: a video, a picture, or frames.
 
@@ -145,6 +143,7 @@ def render_states(
         timestep: s.
         trail: draw the way of the centre of mass.
         terrain: what the robot walks on.
+        texture: of the skin, see `skin.add_skin`.
 
     Returns:
         The frames, (height, width, 3) uint8, if `path` is None, else an empty list.
@@ -157,7 +156,7 @@ def render_states(
     times = timestep * np.arange(len(states))
     instants = times[-1:] if still else np.arange(0.0, times[-1] + 0.5 * timestep, 1 / fps)
     indices = np.minimum(np.round(instants / timestep).astype(int), len(states) - 1)
-    frames = _frames(body, states, scene, size, camera, timestep, indices, trail, terrain)
+    frames = _frames(body, states, scene, size, camera, timestep, indices, trail, terrain, texture)
     if path is None:
         return list(frames)
     _write(frames, Path(path), fps, still)
@@ -174,10 +173,10 @@ def _frames(
     indices: Sequence[int],
     trail: bool,
     terrain: Terrain | None,
+    texture: np.ndarray | None,
 ) -> Iterator[np.ndarray]:
     room = 0 if scene is None else len(scene.radii)
-    space = "planar" if scene is None else scene.space
-    texture = skin.texture_of(body)
+    space = PLANE.name if scene is None else scene.space
     spec = build_spec(
         body, timestep, max_obstacles=room, space=space, terrain=terrain, texture=texture
     )
@@ -202,7 +201,7 @@ def _frames(
             mujoco.mj_camlight(model, data)
             way = states[: index + 1, :3] if trail else None
             motes = None
-            if space == "spatial" and camera not in (MAP, OVERVIEW):
+            if LOOKS[space].motes and camera not in (MAP, OVERVIEW):
                 motes = motes_around(states[index, :3])
             yield offscreen.picture(data, view, way, _TRAIL_RADIUS.get(camera, 0.012), motes)
 
@@ -228,7 +227,7 @@ def _camera(
         margins += [np.array([scene.goal_radius + 0.5]), scene.radii + 0.5]
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     if name == OVERVIEW:
-        aside, down = _OVERVIEW["planar" if scene is None else scene.space]
+        aside, down = LOOKS[PLANE.name if scene is None else scene.space].overview
         camera.azimuth, camera.elevation = bearing + aside, down
     else:  # the way from start to target lies from left to right
         camera.azimuth, camera.elevation = 90 + bearing, -90.0

@@ -10,14 +10,15 @@ import mujoco
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.space import SPACES
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain, pack_terrain
 from defplan_mj.host import skin
 from defplan_mj.host.ground import add_terrain
+from defplan_mj.host.looks import DRAWN_HALF_HEIGHT, DRAWN_HEIGHT, LOOKS, Look
 from defplan_mj.host.plugin import NAME as PLUGIN
 from defplan_mj.host.plugin import load_plugin
 from defplan_mj.kernel.pack import StepOptions, pack_body, pack_options
-from defplan_mj.task import SPACES
 
 ROBOT = "robot"
 ROOT = "root"
@@ -27,7 +28,6 @@ FLOOR_DEPTH = 4.0  # m below the start
 SOLID_HALF_HEIGHT = (
     20.0  # m, of upright cylinders: swimmers drift up and down, the problem is planar
 )
-DRAWN_HALF_HEIGHT, DRAWN_HEIGHT = 2.75, -1.25  # m, and of their pictures: from the sea bed to 1.5
 PARKED = (0.0, 0.0, -100.0)  # m, where unused obstacles wait
 # Geom groups, as is usual in MuJoCo: what is drawn, and what is touched and seen by the laser.
 DECOR_GROUP, SOLID_GROUP = 2, 3
@@ -50,6 +50,7 @@ def build_spec(
     beams: int = 64,
     laser_range: float = 10.0,
     space: str = "planar",
+    sensor: str = "",
     terrain: Terrain | None = None,
     texture: np.ndarray | None = None,
     stepping: Mapping[str, Any] = MappingProxyType({}),
@@ -60,7 +61,7 @@ def build_spec(
     free joint 'root', slide joints 'mode_0'..., actuators 'target_0'..., sensor 'clearance', site
     'target', mocap bodies and geoms 'obstacle_0'... (and geoms 'obstacle_0_drawn'...), cameras
     'chase', 'side', 'top', numeric 'laser' (number of beams, range in m,
-    dimension of its space), text 'body_hash'.
+    dimension of its space), text 'body_hash', and text 'sensor' if it is not the laser of the space.
 
     Args:
         timestep: of the reduced step, s.
@@ -68,7 +69,8 @@ def build_spec(
             false, ctrl is the target shape itself, within the amplitude.
         max_obstacles: how many obstacles a planning.scenes.Scene may have here.
         beams, laser_range: of the laser scanner; range in m.
-        space: 'planar' or 'spatial', see task.Navigation; the laser is of the same kind.
+        space: 'planar' or 'spatial', see task.Navigation.
+        sensor: by name; '': the laser of the space.
         terrain: what the robot stands on, in the air; without it it swims.
         texture: of the skin, see `skin.add_skin`.
         stepping: 'substeps' and 'integrator' of `ReducedDynamics`, if not the default ones.
@@ -84,13 +86,14 @@ def build_spec(
     if terrain is not None:
         spec.add_numeric(name=TERRAIN, data=pack_terrain(terrain, body))
         add_terrain(spec, terrain, "grid")
-    elif space == "planar":  # in space it is open water all around
+    elif LOOKS[space].sea_bed:
         _add_sea_bed(spec)
-    _add_robot(spec, body, timestep, normalised_controls, space, stepping)
+    _add_robot(spec, body, timestep, normalised_controls, LOOKS[space], stepping)
     skin.add_skin(spec, body, ROBOT, "self", texture)
-    spec.add_numeric(
-        name="laser", data=LaserNumbers(float(beams), laser_range, float(SPACES[space]))
-    )
+    dimension = float(SPACES[space].dimension)
+    spec.add_numeric(name="laser", data=LaserNumbers(float(beams), laser_range, dimension))
+    if sensor:
+        spec.add_text(name="sensor", data=sensor)
     # a site away from its body's origin: one compiled at the origin could not be moved
     spec.worldbody.add_site(
         name=TARGET, pos=[5, 0, 0], size=[0.5, 0.5, 0.5], material=TARGET, group=0
@@ -112,12 +115,21 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
         raise DefplanError(f"MuJoCo cannot build the model {spec.modelname}: {error}") from error
 
 
+def text_of(model: mujoco.MjModel, name: str) -> str:
+    """Return a text of the model, or '' if it has none of that name."""
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, name)
+    if index < 0:
+        return ""
+    start, size = model.text_adr[index], model.text_size[index]
+    return bytes(model.text_data[start : start + size]).rstrip(b"\0").decode()
+
+
 def _add_robot(
     spec: mujoco.MjSpec,
     body: Body,
     timestep: float,
     normalised: bool,
-    space: str,
+    look: Look,
     stepping: Mapping[str, Any],
 ) -> None:
     """Add the free joint, the modal slide joints, their actuators, the plugin and its data."""
@@ -179,13 +191,11 @@ def _add_robot(
 
     length = body.length
     track = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
-    # Cameras go along with the robot but do not turn with it, so that it may turn over. From above
-    # the plane's obstacles are tall, so that one looks from afar; balls would be in the way there.
-    above = ([0, 0, 14], 16) if space == "planar" else ([0, 0, 2.6], 45)
+    # Cameras go along with the robot but do not turn with it, so that it may turn over.
     views = {
         "chase": ([-1.25, -1.75, 1.0], [0.814, -0.581, 0, 0.246, 0.345, 0.906], 45),
         "side": ([0, -1.9, 0.35], [1, 0, 0, 0, 0.18, 0.98], 45),
-        "top": (above[0], [1, 0, 0, 0, 1, 0], above[1]),
+        "top": (look.top[0], [1, 0, 0, 0, 1, 0], look.top[1]),
     }
     for name, (place, axes, angle) in views.items():
         pos = length * np.array(place)
@@ -199,7 +209,7 @@ def _add_robot(
         dir=[0.18, 0.12, -0.975],
         diffuse=[0.75, 0.75, 0.7],
         specular=[0.25, 0.25, 0.25],
-        castshadow=space == "planar",
+        castshadow=look.shadows,
     )
 
 

@@ -22,15 +22,12 @@ def shaded_texture(
     return np.round(255 * np.broadcast_to(column, (64, 8, 3))).astype(np.uint8)
 
 
-def texture_of(body: Body) -> np.ndarray | None:
-    """Return the skin picture that the suite domain called like the body has, or None."""
-    if body.name not in registry.names(registry.DOMAINS):
-        return None
+def texture_of(task: str) -> np.ndarray | None:
+    """Return the skin picture of a task by its name, or None."""
     try:
-        picture = getattr(registry.get_domain(body.name), "skin_texture", None)
-    except DefplanError:  # a broken domain costs the picture, not the video
+        return registry.get_task(task).texture()
+    except DefplanError:  # of somewhere else, or broken: that costs the picture, not the video
         return None
-    return None if picture is None else picture()
 
 
 def add_skin(

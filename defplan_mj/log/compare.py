@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,14 +11,44 @@ import numpy as np
 
 from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.space import PLANE, SPACE, SPACES
 from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.log.reader import EpisodeLog, read_log
 
 SETTLING = 3
 """Cycles in which a body that starts at rest gets up to speed; the surrogate knows full speed only."""
 
-TURNING = {"planar": "heading", "spatial": "rotation"}
-"""What an error of attitude is in each space: of the heading, with a sign, or an angle about any axis."""
+
+def _heading_error(true: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """Return true minus predicted heading (m,) of rotations (m, 3, 3), in (-pi, pi], rad."""
+    return np.pi - (np.pi - (rotations.heading(true) - rotations.heading(told))) % (2 * np.pi)
+
+
+def _rotation_error(true: np.ndarray, told: np.ndarray) -> np.ndarray:
+    """Return the angles (m,) between true and predicted rotations (m, 3, 3), rad."""
+    return rotations.angle(np.swapaxes(told, 1, 2) @ true)
+
+
+@dataclass(frozen=True)
+class Turning:
+    """What an error of attitude is in a space.
+
+    Attributes:
+        name: what it is called.
+        signed: whether left is positive, else it is a size.
+        error: true and predicted rotations (m, 3, 3) -> (m,) rad.
+    """
+
+    name: str
+    signed: bool
+    error: Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+TURNING = {
+    PLANE.name: Turning("heading", True, _heading_error),
+    SPACE.name: Turning("rotation", False, _rotation_error),
+}
+"""By the name of the space."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +127,7 @@ class Comparison:
     @property
     def turning_name(self) -> str:
         """What an error of attitude is called: 'heading' or 'rotation'."""
-        return TURNING[self.space]
+        return TURNING[self.space].name
 
     @property
     def position(self) -> np.ndarray:
@@ -144,7 +174,7 @@ class Comparison:
 
     def table(self) -> list[list[str]]:
         """Return rows of text, for `columns`."""
-        signed = self.space == "planar"
+        signed = TURNING[self.space].signed
         return [
             [
                 row["name"],
@@ -168,7 +198,7 @@ class Comparison:
                 str(len(episode.truth) - 1),
                 _text(episode.travelled),
                 _text(episode.drift),
-                _text(episode.turning_drift, self.space == "planar"),
+                _text(episode.turning_drift, TURNING[self.space].signed),
                 _text(episode.clearance) if np.isfinite(episode.clearance) else "-",
                 _text(episode.reward),
             ]
@@ -233,7 +263,7 @@ def compare_logs(paths: Iterable[str | Path | EpisodeLog]) -> Comparison:
     spaces = {log.space: log.path for log in logs}
     if len(spaces) > 1:
         raise DefplanError(
-            f"{spaces['planar']} is of a planar task, {spaces['spatial']} of a spatial one:"
+            f"{spaces[PLANE.name]} is of a planar task, {spaces[SPACE.name]} of a spatial one:"
             " compare them one after the other"
         )
     names = list(dict.fromkeys(name for log in logs for name in log.task_names))
@@ -282,9 +312,7 @@ def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
     start = log.states[log.cycle_steps[rows]][:, :7]
     end = log.states[log.cycle_steps[rows + 1]][:, :7]
     predicted = _predictions(log, rows)
-    frame = rotations.matrix(start[:, 3:])
-    if log.space == "planar":
-        frame = rotations.level_matrix(rotations.heading(frame))
+    frame = SPACES[log.space].frame(rotations.matrix(start[:, 3:]))
     return {
         "cycle": rows,
         "start": log.time[log.cycle_steps[rows]],
@@ -318,11 +346,8 @@ def _into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
 
 def _turning(truth: np.ndarray, predicted: np.ndarray, space: str) -> np.ndarray:
     """Return the errors of attitude (m,) of (m, 7) poses; see `Comparison.turning`."""
-    true, expected = rotations.matrix(truth[:, 3:7]), rotations.matrix(predicted[:, 3:7])
-    if space == "spatial":
-        return rotations.angle(np.swapaxes(expected, 1, 2) @ true)
-    error = rotations.heading(true) - rotations.heading(expected)
-    return np.pi - (np.pi - error) % (2 * np.pi)
+    true, told = rotations.matrix(truth[:, 3:7]), rotations.matrix(predicted[:, 3:7])
+    return TURNING[space].error(true, told)
 
 
 def _figures(values: np.ndarray, sizes: np.ndarray) -> dict[str, float | None]:

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from defplan_mj.base.space import PLANE, SPACE, SPACES
 from defplan_mj.log.compare import SETTLING, Comparison, gaits_used
 from defplan_mj.log.plotting import (
     FAINT,
@@ -98,7 +99,7 @@ def draw_displacements(axes: Axes, comparison: Comparison, plane: np.ndarray) ->
 def draw_chained(axes: Axes, comparison: Comparison) -> None:
     """Draw the first log's true path beside the surrogate's own, chained from the start."""
     episode = comparison.episodes[0]
-    spatial = comparison.space == "spatial"
+    spatial = not SPACES[comparison.space].level
     seen = view() if spatial else np.eye(3)
     truth, chained = ((p[:, :3] - episode.truth[0, :3] * spatial) @ seen[:2].T
                       for p in (episode.truth, episode.chained))  # fmt: skip
@@ -155,7 +156,7 @@ def _draw_errors(axes: Axes, comparison: Comparison, errors: np.ndarray, label: 
 
 _ERRORS: tuple[Panel, ...] = (draw_chained, draw_position_errors, draw_turning_errors)
 PANELS: dict[str, tuple[Panel, ...]] = {
-    "planar": (draw_from_above, *_ERRORS),
-    "spatial": (draw_along_y, draw_along_x, *_ERRORS),
+    PLANE.name: (draw_from_above, *_ERRORS),
+    SPACE.name: (draw_along_y, draw_along_x, *_ERRORS),
 }
 """Space -> what the figure shows."""

@@ -17,9 +17,13 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from defplan_mj.base import rotations
+from defplan_mj.base.space import OF_DIMENSION, PLANE
+from defplan_mj.log import channels
 from defplan_mj.log.schemas import WORLD_FRAME
-from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.sensors.laser import Laser
+from defplan_mj.planning.sensors.sensor import sensor_of
+from defplan_mj.task import Navigation
 
 _OBSTACLE = Color(r=0.25, g=0.42, b=0.75, a=0.9)
 _TARGET = Color(r=0.85, g=0.2, b=0.17, a=0.6)
@@ -73,19 +77,32 @@ def laser_scan(x: np.ndarray, ranges: Sequence[float] | np.ndarray, nanoseconds:
     ).SerializeToString()
 
 
-def laser_points(
-    x: np.ndarray, ranges: Sequence[float] | np.ndarray, laser_range: float, nanoseconds: int
+def reading_message(
+    x: np.ndarray, reading: np.ndarray, navigation: Navigation, nanoseconds: int
+) -> tuple[str, bytes]:
+    """Return topic and message that show a reading at state x."""
+    sensor = sensor_of(navigation)
+    if sensor.name == PLANE.sensor:
+        return channels.LASER, laser_scan(x, reading, nanoseconds)
+    points, there = sensor.points(np.asarray(reading, float), navigation)
+    distance = reading if isinstance(sensor, Laser) else np.linalg.norm(points, axis=1)
+    cloud = sensed_points(x, points[there], distance[there], nanoseconds)
+    return channels.LASER_POINTS, cloud
+
+
+def sensed_points(
+    x: np.ndarray, points: np.ndarray, distance: np.ndarray, nanoseconds: int
 ) -> bytes:
-    """Return the points that the beams of a spherical laser hit, in the body frame of state x.
+    """Return a cloud of points (p, d), m, in the robot's frame of d dimensions at state x.
 
     Each point also has its `distance` (m), to be coloured by.
     """
-    ranges = np.asarray(ranges, float)
-    hit = ranges < laser_range
-    points = ranges[hit, None] * beam_directions(len(ranges), "spatial")[hit]
-    return _point_cloud(
-        {**dict(zip("xyz", points.T, strict=True)), "distance": ranges[hit]}, nanoseconds, x[:7]
-    )
+    d = points.shape[1]
+    columns = np.pad(points, ((0, 0), (0, 3 - d))).T
+    attitude = OF_DIMENSION[d].attitude(x[3:7])
+    pose = np.concatenate([x[:3], attitude])
+    named = {**dict(zip("xyz", columns, strict=True)), "distance": distance}
+    return _point_cloud(named, nanoseconds, pose)
 
 
 def contact_forces(points: np.ndarray, forces: np.ndarray, nanoseconds: int) -> bytes:

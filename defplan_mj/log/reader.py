@@ -26,7 +26,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain, terrain_of
 from defplan_mj.gait.gait import Gait
-from defplan_mj.log import schemas
+from defplan_mj.log import channels, schemas
 from defplan_mj.log.messages import contacts_of
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.surrogate import Surrogate
@@ -100,6 +100,8 @@ class EpisodeLog:
         surrogate_pose: (m, 7) position and quaternion (w x y z) that the surrogate predicted for the
             cycle's end from its true start; NaN if it was not logged.
         contacts: of the steps that they were logged at; empty if nothing ever pushes.
+        numbers: topic -> number of the step -> numbers, of all channels of labelled numbers; see
+            `channel`.
     """
 
     path: Path
@@ -126,6 +128,7 @@ class EpisodeLog:
     laser: np.ndarray
     surrogate_pose: np.ndarray
     contacts: tuple[LoggedContacts, ...] = ()
+    numbers: dict[str, dict[int, np.ndarray]] = field(default_factory=dict, repr=False)
 
     @property
     def space(self) -> str:
@@ -159,6 +162,18 @@ class EpisodeLog:
             return None
         return terrain_of(json.loads(self.attachments["terrain.json"]))
 
+    def channel(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the steps (k,) and numbers (k, n) of a channel of labelled numbers.
+
+        Raises:
+            DefplanError: the log has none of that topic.
+        """
+        if topic not in self.numbers:
+            there = ", ".join(sorted(self.numbers))
+            raise DefplanError(f"log {self.path} has no numbers in {topic}: there are {there}")
+        found = self.numbers[topic]
+        return np.array(list(found), int), np.array(list(found.values()))
+
     @property
     def task_names(self) -> tuple[str, ...]:
         """Names of the gaits, as far as the log knows them."""
@@ -178,6 +193,16 @@ class EpisodeLog:
                 ) from error
 
 
+def _needed() -> dict[str, Any]:
+    """Return topic -> message class of the channels that are read: numbers, and two that are not."""
+    return {
+        topic: channel.message
+        for topic, channel in channels.by_topic().items()
+        if topic in (channels.SURROGATE, channels.FORCES)
+        or channel.message is schemas.LabelledNumbers
+    }
+
+
 @dataclass
 class _Contents:
     """What was found in a file, before it is put in order."""
@@ -186,14 +211,8 @@ class _Contents:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     topics: dict[int, str] = field(default_factory=dict)
+    needed: dict[str, Any] = field(default_factory=_needed)
     messages: dict[str, list[tuple[int, float, Any]]] = field(default_factory=dict)
-
-
-_NEEDED = {
-    topic: kind
-    for topic, kind in schemas.CHANNELS.items()
-    if topic in (schemas.SURROGATE, schemas.FORCES) or kind is schemas.LabelledNumbers
-}
 
 
 def read_log(path: str | Path) -> EpisodeLog:
@@ -267,9 +286,9 @@ def _take(contents: _Contents, opcode: int, record: bytes) -> None:
         for item in breakup_chunk(chunk, validate_crc=True):
             if isinstance(item, Channel):
                 contents.topics[item.id] = item.topic
-            elif isinstance(item, Message) and contents.topics[item.channel_id] in _NEEDED:
+            elif isinstance(item, Message) and contents.topics[item.channel_id] in contents.needed:
                 topic = contents.topics[item.channel_id]
-                content = _NEEDED[topic].FromString(item.data)
+                content = contents.needed[topic].FromString(item.data)
                 taken.append((topic, item.sequence, item.log_time * 1e-9, content))
         for topic, *message in taken:
             contents.messages.setdefault(topic, []).append(tuple(message))
@@ -296,9 +315,9 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
     numbers = {
         topic: {sequence: np.array(message.values) for sequence, _, message in messages}
         for topic, messages in contents.messages.items()
-        if schemas.CHANNELS[topic] is schemas.LabelledNumbers
+        if contents.needed[topic] is schemas.LabelledNumbers
     }
-    states = numbers.get(schemas.STATE, {})
+    states = numbers.get(channels.STATE, {})
     if not states or schemas.CONFIGURATION_RECORD not in contents.metadata:
         raise DefplanError(
             f"log {path} holds no step of its episode ({contents.fault}): record it anew"
@@ -311,8 +330,8 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         k: a.reshape(-1, 3) if k in ("centres", "velocities") else a for k, a in arrays.items()
     }
 
-    shapes = numbers.get(schemas.TARGET_SHAPE, {})
-    contacts = numbers.get(schemas.CONTACTS, {})
+    shapes = numbers.get(channels.TARGET_SHAPE, {})
+    contacts = numbers.get(channels.CONTACTS, {})
     steps = 0  # up to the first one that misses something
     while all(steps + 1 in part for part in (states, shapes, contacts)):
         steps += 1
@@ -322,7 +341,7 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         fault = f"incomplete: {steps} of {ending.get('steps')} steps are there"
     modes = int(identity["modes"])
     taken = range(1, steps + 1)
-    times = {sequence: time for sequence, time, _ in contents.messages[schemas.STATE]}
+    times = {sequence: time for sequence, time, _ in contents.messages[channels.STATE]}
     return EpisodeLog(
         path=path,
         fault=fault,
@@ -346,19 +365,20 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         clearance=np.array([contacts[i][0] for i in taken]),
         contacts=tuple(
             LoggedContacts(sequence, *contacts_of(message))
-            for sequence, _, message in contents.messages.get(schemas.FORCES, [])
+            for sequence, _, message in contents.messages.get(channels.FORCES, [])
             if sequence <= steps
         ),
+        numbers=numbers,
         **_cycles(contents, numbers, steps),
     )
 
 
 def _cycles(contents: _Contents, numbers: dict[str, dict], steps: int) -> dict[str, np.ndarray]:
     """Return the arrays of the cycles; messages of a cycle carry the number of its last step."""
-    gaits = numbers.get(schemas.GAIT, {})
-    values, rewards = numbers.get(schemas.VALUES, {}), numbers.get(schemas.REWARD, {})
-    scans = numbers.get(schemas.RANGES, {})
-    poses = {n: _pose(m) for n, _, m in contents.messages.get(schemas.SURROGATE, [])}
+    gaits = numbers.get(channels.GAIT, {})
+    values, rewards = numbers.get(channels.VALUES, {}), numbers.get(channels.REWARD, {})
+    scans = numbers.get(channels.RANGES, {})
+    poses = {n: _pose(m) for n, _, m in contents.messages.get(channels.SURROGATE, [])}
     ends = [
         n
         for n in sorted(gaits)

@@ -20,16 +20,17 @@ import defplan_mj
 from defplan_mj.base import files, rotations
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.rigid import RigidDynamics
-from defplan_mj.log import schemas, wire
+from defplan_mj.log import channels, schemas, wire
+from defplan_mj.log.channels import Cycle, Names, Step
 from defplan_mj.log.messages import (
     contact_forces,
     force_arrows,
-    laser_points,
-    laser_scan,
+    reading_message,
     scene_update,
 )
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.planning.scenes import Scene
+from defplan_mj.task import Navigation
 
 if TYPE_CHECKING:
     from defplan_mj.dynamics.reduced import Contacts
@@ -122,8 +123,7 @@ class Recorder:
                 self._contacts = lambda x: _pair(dynamics.contacts(x))
         self._scene = scene
         self._moving = bool(np.any(scene.velocities))
-        self._spatial = scene.space == "spatial"
-        self._laser_range = _laser_range(given)
+        self._navigation = _navigation(given, scene)
         self._steps = self._cycles = 0
         self._cycle_times = [time]  # of the states since the running cycle began
         self._start = self._last = x
@@ -161,7 +161,7 @@ class Recorder:
         self._kinds: dict[Any, int] = {}
         self._channels: dict[str, int] = {}
         now = _ns(time)
-        self._write(schemas.SCENE, now, scene_update(scene, now))
+        self._write(channels.SCENE, now, scene_update(scene, now))
         self._write_state(now, wire.timestamp(now), x)
         self._flush(time)
 
@@ -182,13 +182,14 @@ class Recorder:
         self._cycle_times.append(time)
         x = self._last = np.array(x, float)
         self._write_state(now, stamp, x)
-        self._numbers(schemas.TARGET_SHAPE, now, stamp, target_shape)
-        self._numbers(schemas.CONTACTS, now, stamp, np.array([clearance, clearance < 0]))
+        here = Step(x, target_shape, clearance)
+        for channel, numbers in self._of_step:
+            self._numbers(channel.topic, now, stamp, numbers(here))
         if self._contacts is not None and self._drawn:
             points, forces = self._contacts(x)
-            self._write(schemas.FORCES, now, contact_forces(points, forces, now))
+            self._write(channels.FORCES, now, contact_forces(points, forces, now))
             scale = _WEIGHT_ARROW / (self._files.body.mass * _GRAVITY)
-            self._write(schemas.ARROWS, now, force_arrows(points, forces, scale, now))
+            self._write(channels.ARROWS, now, force_arrows(points, forces, scale, now))
 
     def cycle(
         self,
@@ -220,22 +221,21 @@ class Recorder:
         for number, at in enumerate(moments[:-1]):
             phase = number / (len(moments) - 1)
             where = np.array([gait_index, phase, index], float)
-            self._numbers(schemas.GAIT, at, wire.timestamp(at), where)
+            self._numbers(channels.GAIT, at, wire.timestamp(at), where)
         start, end = _ns(time), moments[-1]
         stamp = wire.timestamp(end)
-        if self._spatial:
-            points = laser_points(x, laser, self._laser_range, start)
-            self._write(schemas.LASER_POINTS, start, points)
-        else:
-            self._write(schemas.LASER, start, laser_scan(x, laser, start))
-        self._numbers(schemas.RANGES, start, wire.timestamp(start), np.asarray(laser, float))
-        self._numbers(schemas.VALUES, start, wire.timestamp(start), np.asarray(values, float))
-        self._numbers(schemas.REWARD, end, stamp, np.array([reward], float))
+        topic, drawing = reading_message(x, laser, self._navigation, start)
+        self._write(topic, start, drawing)
+        done = Cycle(x, np.asarray(laser, float), np.asarray(values, float), reward)
+        for channel, numbers in self._at_decision:
+            self._numbers(channel.topic, start, wire.timestamp(start), numbers(done))
+        for channel, numbers in self._at_end:
+            self._numbers(channel.topic, end, stamp, numbers(done))
         if surrogate_pose is None and self._files.surrogate is not None:
             surrogate_pose = RigidDynamics(self._files.surrogate).step(x[:7], gait_index)
         if surrogate_pose is not None:
             message = wire.pose_in_frame(stamp, self._frame, surrogate_pose.tolist())
-            self._write(schemas.SURROGATE, end, message)
+            self._write(channels.SURROGATE, end, message)
         last = self._cycle_times[-1]
         if 2 * last - self._cycle_times[0] - self._chunk_time > CHUNK_SECONDS:
             # another such cycle would not fit; between cycles, chunks do not overlap in time
@@ -288,16 +288,12 @@ class Recorder:
 
     def _prepare(self, modes: int) -> None:
         """Pack the parts of messages that stay the same."""
-        names = {
-            schemas.STATE: schemas.state_labels(modes),
-            schemas.TARGET_SHAPE: schemas.shape_labels(modes),
-            schemas.CONTACTS: ["clearance", "collision"],
-            schemas.GAIT: ["gait", "phase", "cycle"],
-            schemas.VALUES: self._files.gait.task_names if self._files.gait else [],
-            schemas.REWARD: ["reward"],
-            schemas.RANGES: [],
-        }
-        self._labels = {topic: wire.labels(labels) for topic, labels in names.items()}
+        names = Names(modes, tuple(self._files.gait.task_names) if self._files.gait else ())
+        self._known = channels.by_topic()
+        self._labels = {c.topic: wire.labels(c.labels(names)) for c in self._known.values()}
+        self._of_step = [(c, c.of_step) for c in self._known.values() if c.of_step]
+        self._at_decision = [(c, c.at_decision) for c in self._known.values() if c.at_decision]
+        self._at_end = [(c, c.at_end) for c in self._known.values() if c.at_end]
         self._frame = wire.text(2, schemas.WORLD_FRAME)
         self._frames = self._frame + wire.text(3, schemas.ROBOT_FRAME)
         if self._mesh_every:
@@ -307,16 +303,16 @@ class Recorder:
     def _write_state(self, now: int, stamp: bytes, x: np.ndarray) -> None:
         """Write the state and what is drawn of it: frame, centre of mass, surface, moving obstacles."""
         pose = x[:7].tolist()
-        self._numbers(schemas.STATE, now, stamp, x)
-        self._write(schemas.TF, now, wire.frame_transform(stamp, self._frames, pose))
-        self._write(schemas.COM, now, wire.pose_in_frame(stamp, self._frame, pose))
+        self._numbers(channels.STATE, now, stamp, x)
+        self._write(channels.TF, now, wire.frame_transform(stamp, self._frames, pose))
+        self._write(channels.COM, now, wire.pose_in_frame(stamp, self._frame, pose))
         if not self._drawn:
             return
         points = (self._surface(x)[self._rows] - x[:3]) @ rotations.matrix(x[3:7])
         points = np.rint(points * (1 / _MESH_GRID)) * _MESH_GRID
-        self._write(schemas.MESH, now, self._mesh.encode(stamp, points))
+        self._write(channels.MESH, now, self._mesh.encode(stamp, points))
         if self._moving and self._steps:
-            self._write(schemas.SCENE, now, scene_update(self._scene, now))
+            self._write(channels.SCENE, now, scene_update(self._scene, now))
 
     @property
     def _drawn(self) -> bool:
@@ -330,7 +326,7 @@ class Recorder:
     def _write(self, topic: str, now: int, message: bytes) -> None:
         assert self._writer is not None, "begin was not called, or the log is closed already"
         if topic not in self._channels:
-            kind = schemas.CHANNELS[topic]
+            kind = self._known[topic].message
             if kind not in self._kinds:
                 self._kinds[kind] = register_schema(self._writer, kind)
             self._channels[topic] = self._writer.register_channel(
@@ -368,12 +364,16 @@ def _pair(contacts: Contacts) -> tuple[np.ndarray, np.ndarray]:
     return contacts.points, contacts.forces
 
 
-def _laser_range(context: Mapping[str, Any]) -> float:
-    """Return the laser's range, m, of a context's navigation (a dataclass or its dict)."""
+def _navigation(context: Mapping[str, Any], scene: Scene) -> Navigation:
+    """Return what a context's navigation (a dataclass or its dict) says of the sensor."""
     navigation = context.get("navigation", {})
     if dataclasses.is_dataclass(navigation) and not isinstance(navigation, type):
         navigation = dataclasses.asdict(navigation)
-    return float(navigation.get("laser_range", np.inf))
+    return Navigation(
+        laser_range=float(navigation.get("laser_range", np.inf)),
+        space=scene.space,
+        sensor=navigation.get("sensor", ""),
+    )
 
 
 def _ns(time: float) -> int:

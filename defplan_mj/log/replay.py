@@ -13,6 +13,7 @@ from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.log import schemas
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import versions
+from defplan_mj.planning.sensors.sensor import sensor_of
 from defplan_mj.task import Navigation
 
 
@@ -138,17 +139,11 @@ def _in_mujoco(log: EpisodeLog, progress: Progress) -> dict[str, np.ndarray]:
     from defplan_mj.host.navigation import navigation_environment
     from defplan_mj.host.physics import Physics
 
-    settings = log.configuration.get("navigation") or {}
-    navigation = Navigation(
-        beams=log.laser.shape[1],
-        laser_range=float(settings.get("laser_range", Navigation().laser_range)),
-        space=log.space,
-    )
     open_loop = log.configuration.get("feedback", "none") == "none"
     env = navigation_environment(
         log.body,
         log.gait,
-        navigation,
+        _navigation(log),
         lambda random: log.scene,
         terrain=log.terrain,
         scene=log.scene,
@@ -199,7 +194,7 @@ def _compare_episode(log: EpisodeLog, replayed: dict[str, np.ndarray]) -> Differ
     }
     labels = {
         "state": _state_labels(log),
-        "laser": [f"beam {i}" for i in range(log.laser.shape[1])],
+        "laser": _reading_labels(log),
     }
     differences = [
         _first("mujoco", name, logged[name], replayed[name], labels.get(name, [""]), steps[name])
@@ -247,6 +242,22 @@ def _state_labels(log: EpisodeLog) -> list[str]:
     return schemas.state_labels(log.target_shapes.shape[1])
 
 
+def _reading_labels(log: EpisodeLog) -> list[str]:
+    there = _navigation(log)
+    return sensor_of(there).labels(there)
+
+
+def _navigation(log: EpisodeLog) -> Navigation:
+    """Return what a log says of the navigation problem, as far as the robot senses it."""
+    told: dict[str, Any] = log.configuration.get("navigation") or {}
+    return Navigation(
+        beams=int(told.get("beams") or log.laser.shape[1]),
+        laser_range=float(told.get("laser_range", Navigation().laser_range)),
+        space=log.space,
+        sensor=told.get("sensor", ""),
+    )
+
+
 def _changed(log: EpisodeLog) -> Iterator[str]:
     """Yield what a replay here does not share with the run of the log."""
     here = versions()
@@ -275,6 +286,7 @@ def write_video(
         DefplanError: the log cannot be read, or the video cannot be drawn or written.
     """
     from defplan_mj.host.render import render_states
+    from defplan_mj.host.skin import texture_of
 
     log = log if isinstance(log, EpisodeLog) else read_log(log)
     render_states(
@@ -287,4 +299,5 @@ def write_video(
         camera,
         timestep=log.timestep,
         terrain=log.terrain,
+        texture=texture_of(log.task),
     )

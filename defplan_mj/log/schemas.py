@@ -1,14 +1,9 @@
-"""What a log's channels are called and carry: foxglove schemas, and one of our own for labelled numbers."""
+"""The layout of a log: our own schema of labelled numbers, its records, the labels of a state."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.LaserScan_pb2 import LaserScan
-from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
 FORMAT_VERSION = 3
@@ -40,43 +35,6 @@ def _labelled_numbers() -> Any:
 
 
 LabelledNumbers = _labelled_numbers()
-
-TF = "/tf"
-SCENE = "/scene"
-MESH = "/robot/mesh"
-COM = "/robot/com"
-STATE = "/robot/state"
-SURROGATE = "/surrogate/com"
-LASER = "/laser"
-LASER_POINTS = "/laser/points"
-RANGES = "/laser/ranges"
-CONTACTS = "/contacts"
-FORCES = "/contacts/forces"
-ARROWS = "/contacts/arrows"
-TARGET_SHAPE = "/control/target_shape"
-GAIT = "/control/gait"
-VALUES = "/planner/values"
-REWARD = "/planner/reward"
-
-CHANNELS: dict[str, Any] = {
-    TF: FrameTransforms,
-    SCENE: SceneUpdate,
-    MESH: SceneUpdate,
-    COM: PoseInFrame,
-    SURROGATE: PoseInFrame,
-    LASER: LaserScan,
-    LASER_POINTS: PointCloud,
-    RANGES: LabelledNumbers,
-    STATE: LabelledNumbers,
-    CONTACTS: LabelledNumbers,
-    FORCES: PointCloud,
-    ARROWS: SceneUpdate,
-    TARGET_SHAPE: LabelledNumbers,
-    GAIT: LabelledNumbers,
-    VALUES: LabelledNumbers,
-    REWARD: LabelledNumbers,
-}
-"""Topic -> message class of every channel; a log has those that its episode needs."""
 
 WORLD_FRAME = "world"
 ROBOT_FRAME = "robot"

@@ -81,8 +81,8 @@ def evaluate(
     Returns:
         JSON-able: number of episodes, rates and their intervals, and 'rows', one an episode.
     """
+    from defplan_mj.host.evaluation import evaluate
     from defplan_mj.log.run_files import RunFiles
-    from defplan_mj.planning.evaluation import evaluate
 
     who, surrogate, navigation = robot(run), run.result("surrogate"), run.plan.spec.navigation
     if log is not None:
@@ -139,8 +139,11 @@ def steering(run: Run, shield: bool) -> Planner:
 
 def environment(run: Run, obstacles: int | None = None) -> Environment:
     """Return the run's navigation environment; it draws novel scenes from the run's seed."""
+    from defplan_mj.host.navigation import robot_environment
     from defplan_mj.planning.scenes import NovelScenes
 
-    navigation = run.plan.spec.navigation
-    scenes = NovelScenes(navigation, obstacles)
-    return robot(run).environment(navigation, scenes, random=run.plan.options.seed)
+    spec, seed = run.plan.spec, run.plan.options.seed
+    scenes = NovelScenes(spec.navigation, obstacles)
+    return robot_environment(
+        robot(run), spec.navigation, scenes, random=seed, texture=spec.texture()
+    )

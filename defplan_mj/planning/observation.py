@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.motion_tree import MotionTree
+from defplan_mj.planning.sensors.sensor import reading_size, sensor_of
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
 
@@ -26,57 +26,47 @@ class Senses:
         navigation: for the laser and the space.
 
     Attributes:
-        size: the number of features, beams + d + 3 + 2 K.
+        size: the number of features, those of a reading + d + 3 + 2 K.
     """
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
-        self.laser_range, self.radius = navigation.laser_range, np.float32(surrogate.radius)
-        self.directions = beam_directions(navigation.beams, navigation.space).astype(np.float32)
+        self.navigation, self.radius = navigation, np.float32(surrogate.radius)
+        self.sensor, self.readings = sensor_of(navigation), reading_size(navigation)
         self.ways = MotionTree(surrogate.motions(navigation.space), 1)
-        self.size = navigation.beams + navigation.dimension + 3 + 2 * self.ways.gaits
+        self.size = self.readings + navigation.dimension + 3 + 2 * self.ways.gaits
 
     def __call__(self, laser: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return (..., size) float32 features of laser scans and targets.
 
-        A beam becomes its proximity 1 - distance / range. The target, in the robot's frame, becomes
+        A reading becomes what its sensor says (a beam its proximity). The target, in the robot's frame, becomes
         its direction (a unit vector) and three views of its distance r (m): log(1 + r) / 3, r / 20
         and exp(-r / 2), so that near and far are both told apart. The room c of a gait becomes
         tanh(c / 0.2) and, from c = -0.5 on, exp(-c).
 
         Args:
-            laser: (..., beams) m.
+            laser: (..., readings) of the sensor.
             target: (..., d) m; the first d components of an observation's.
         """
-        beams, d, gaits = laser.shape[-1], target.shape[-1], self.ways.gaits
+        n, d, gaits = self.readings, target.shape[-1], self.ways.gaits
         distance = np.sqrt(np.einsum("...d,...d->...", target, target))
         inverse = 1.0 / np.maximum(distance, 1e-6)
         out = np.empty((*laser.shape[:-1], self.size), np.float32)
-        out[..., :beams] = 1.0 - laser / self.laser_range
-        out[..., beams : beams + d] = target * inverse[..., None]
-        beams += d
-        out[..., beams] = np.log1p(distance) / 3
-        out[..., beams + 1] = distance / 20
-        out[..., beams + 2] = np.exp(-0.5 * distance)
+        out[..., :n] = self.sensor.features(laser, self.navigation)
+        out[..., n : n + d] = target * inverse[..., None]
+        out[..., n + d] = np.log1p(distance) / 3
+        out[..., n + d + 1] = distance / 20
+        out[..., n + d + 2] = np.exp(-0.5 * distance)
         room = self.room(laser)
         out[..., -2 * gaits : -gaits] = np.tanh(room / NARROW)
         out[..., -gaits:] = np.exp(-np.maximum(room, -0.5) / WIDE)
         return out
 
     def room(self, laser: np.ndarray) -> np.ndarray:
-        """Return (..., K) how far scans (..., beams) stay clear of the robot in a cycle, m.
+        """Return (..., K) how far scans (..., readings) stay clear of the robot in a cycle, m.
 
-        A beam that meets nothing counts as a point at the end of its range.
+        Where nothing is met there counts a point at the end of the range.
         """
-        points = np.asarray(laser, np.float32)[..., None] * self.directions
+        points, _ = self.sensor.points(np.asarray(laser, np.float32), self.navigation)
         _, _, way = self.ways.distances2(points.reshape(-1, points.shape[-1]))
-        nearest = way.reshape(*laser.shape, self.ways.gaits).min(-2)
+        nearest = way.reshape(*points.shape[:-1], self.ways.gaits).min(-2)
         return np.sqrt(np.maximum(nearest, 0)) - self.radius
-
-
-def laser_points(laser: np.ndarray, navigation: Navigation) -> np.ndarray:
-    """Return the (p, d) points that a scan of `beams` distances hit, in the robot's frame, m.
-
-    A distance of the range is a miss.
-    """
-    hit = laser < navigation.laser_range * (1 - 1e-6)
-    return laser[hit][:, None] * beam_directions(len(laser), navigation.space)[hit]

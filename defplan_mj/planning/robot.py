@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain, terrain_json
 from defplan_mj.feedback import Feedback, FeedbackSolver
 from defplan_mj.gait.gait import Gait
-
-if TYPE_CHECKING:
-    from dm_control.rl.control import Environment
-
-    from defplan_mj.host.navigation import SceneSampler
-    from defplan_mj.task import Navigation
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,19 +43,3 @@ class Robot:
         if self.feedback is None:
             return None
         return self.feedback.prepare(self.dynamics, self.gait, space)
-
-    def environment(
-        self, navigation: Navigation, sampler: SceneSampler, **options: Any
-    ) -> Environment:
-        """Return its navigation environment; `options` are those of `navigation_environment`."""
-        from defplan_mj.host.navigation import navigation_environment
-
-        return navigation_environment(
-            self.body,
-            self.gait,
-            navigation,
-            sampler,
-            terrain=self.world,
-            feedback=self.prepared(navigation.space),
-            **options,
-        )

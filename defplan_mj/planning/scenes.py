@@ -8,15 +8,13 @@ import numpy as np
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.rotations import level_attitude
+from defplan_mj.base.space import OF_DIMENSION, OF_OBSTACLE, Space
 from defplan_mj.planning.frames import (
     random_attitudes,
     random_directions,
     spread_directions,
 )
 from defplan_mj.task import Navigation
-
-SHAPES = {"planar": "cylinder", "spatial": "sphere"}
-"""What the obstacles of a space are."""
 
 FAR = 1e4
 """Where the padding of a batch keeps obstacles that are not there, m."""
@@ -58,12 +56,16 @@ class Scene:
         Raises:
             DefplanError: they have it nowhere.
         """
-        for space, shape in SHAPES.items():
-            if self.shape == shape:
-                return space
-        raise DefplanError(
-            f"unknown obstacle shape {self.shape}: there are {', '.join(SHAPES.values())}"
-        )
+        return self.place.name
+
+    @property
+    def place(self) -> Space:
+        """The space itself; raises as `space`."""
+        if self.shape not in OF_OBSTACLE:
+            raise DefplanError(
+                f"unknown obstacle shape {self.shape}: there are {', '.join(OF_OBSTACLE)}"
+            )
+        return OF_OBSTACLE[self.shape]
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ class SceneBatch:
 
     def scenes(self, meta: list[dict] | None = None) -> list[Scene]:
         """Return the batch as a list of `Scene` (padding dropped), with `meta` of each."""
-        shape = "cylinder" if self.dimension == 2 else "sphere"
+        shape = OF_DIMENSION[self.dimension].obstacle
         scenes = []
         for i in range(len(self)):
             real = self.radii[i] > 0
@@ -130,7 +132,7 @@ class SceneBatch:
         if len(shapes) > 1:
             raise DefplanError("a batch of scenes has cylinders or spheres, not both: split it")
         n, m = len(scenes), max((len(scene.radii) for scene in scenes), default=0)
-        d = 3 if "sphere" in shapes else 2
+        d = scenes[0].place.dimension if scenes else 2
         centres, radii = np.full((n, m, d), FAR), np.zeros((n, m))
         velocities = np.zeros((n, m, d))
         for i, scene in enumerate(scenes):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from defplan_mj.planning.motion_tree import MotionTree
-from defplan_mj.planning.observation import laser_points
 from defplan_mj.planning.planner import Observation, Planner
+from defplan_mj.planning.sensors.sensor import seen_points
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
 
@@ -53,7 +53,7 @@ class Shield:
 
     def values(self, observation: Observation) -> np.ndarray:
         """Return the planner's values, those of unsafe gaits lowered below all others."""
-        safe = self.safe(laser_points(observation["laser"], self.navigation))
+        safe = self.safe(seen_points(observation["laser"], self.navigation))
         values = self.planner.values({**observation, "safe": safe})
         return np.where(safe, values, values - (np.ptp(values) + 1.0))
 

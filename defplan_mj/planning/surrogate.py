@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from defplan_mj.base import files
+from defplan_mj.base.space import SPACES
 from defplan_mj.planning.frames import frames_of
-from defplan_mj.task import SPACES
 
 FORMAT_VERSION = 1
 
@@ -67,7 +67,7 @@ class Surrogate:
 
     def motions(self, space: str) -> Motions:
         """Return the tasks' motions in a space: all of them in 'spatial', in 'planar' the level part."""
-        d = SPACES[space]
+        d = SPACES[space].dimension
         return Motions(frames_of(self.rotations, d), self.translations[:, :d])
 
     def save(self, path: str | Path) -> None:

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from defplan_mj.planning.beams import beam_directions
 from defplan_mj.planning.frames import angles, attitude_frames, renewed, turns
 from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS, TIMEOUT
 from defplan_mj.planning.scenes import SceneBatch
+from defplan_mj.planning.sensors.sensor import sensor_of
 from defplan_mj.planning.surrogate import Motions, Surrogate
 from defplan_mj.task import Navigation
 
@@ -60,6 +60,25 @@ def scan(
     np.minimum.at(distances.reshape(-1), robot[pair] * beams + beam, depth)
     distances[robot[tangent2 <= 0]] = 0
     return distances
+
+
+@dataclass(frozen=True)
+class BallView:
+    """What n robots among balls can sense (a `planning.sensors.sensor.View`); see `scan`."""
+
+    position: np.ndarray
+    frames: np.ndarray
+    centres: np.ndarray
+    radii: np.ndarray
+
+    def cast(self, directions: np.ndarray, farthest: float) -> np.ndarray:
+        """Return the distances (n, b) along rays in the robots' frames, m."""
+        along = directions.astype(self.position.dtype)
+        return scan(self.position, self.frames, self.centres, self.radii, along, farthest)
+
+    def obstacles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the balls' centres in the robots' frames (n, m, d) and radii (n, m), m."""
+        return (self.centres - self.position[:, None]) @ self.frames, self.radii
 
 
 def segment_distance(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -133,7 +152,7 @@ class SurrogateEnv:
         self.motions = Motions(rotations.astype(np.float32), translations.astype(np.float32))
         self.rotation_noise = np.float32(noise) * surrogate.rotation_sd.astype(np.float32)
         self.translation_noise = np.float32(noise) * surrogate.translation_sd.astype(np.float32)
-        self.beams = beam_directions(navigation.beams, navigation.space).astype(np.float32)
+        self.sensor = sensor_of(navigation)
         self.seconds = np.float32(surrogate.cycle_seconds)
         self.bank_frames = attitude_frames(batch.orientations, d).astype(np.float32)
         self.bank_centres = batch.centres.astype(np.float32)
@@ -159,15 +178,10 @@ class SurrogateEnv:
     def observe(self, robots: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """Return the laser distances (n, beams) and the target in the robots' frames (n, d), m."""
         position, frames = self.position[robots], self.frames[robots]
-        laser = scan(
-            position,
-            frames,
-            self.centres[robots],
-            self.radii[robots],
-            self.beams,
-            self.navigation.laser_range,
+        view = BallView(position, frames, self.centres[robots], self.radii[robots])
+        return self.sensor.measure(view, self.navigation), np.einsum(
+            "nij,ni->nj", frames, self.goal[robots] - position
         )
-        return laser, np.einsum("nij,ni->nj", frames, self.goal[robots] - position)
 
     def step(self, actions: np.ndarray) -> Transition:
         """Move every robot by one cycle of its gait `actions` (n,)."""

@@ -42,7 +42,7 @@ def check_section(material: Material) -> Section:
         notes.append(f"The drag points' force is within {percent(data['drag_force_error'])}.")
     if data["frequency_error"] is not None:
         notes.append(f"The first frequencies are within {percent(data['frequency_error'])}.")
-    if material.spec is not None and material.spec.terrain is not None:
+    if material.spec is not None and material.spec.world.walks:
         notes.append(f"Falls with every step divided by four: {data['falls_refined']}.")
     section.blocks.append(Text(" ".join(notes)))
     return section

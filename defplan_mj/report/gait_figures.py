@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from defplan_mj.base.space import SPACES
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait, dmp
 from defplan_mj.log.plotting import FAINT, INK, PATH, SERIES, new_figure, styled, view
 from defplan_mj.report.drawing import draw_surface, silhouette
-from defplan_mj.report.views import View, world_views
-from defplan_mj.task import SPACES
+from defplan_mj.report.views import PICTURES, View
 
 _SHADOW = "#9cc6cd"
 
@@ -76,11 +76,11 @@ def path_figures(
     bodies = states_along(states, 1.3 * dynamics.body.length, space)
     ends = states[:: gait.steps_per_cycle, :3]
     figures = []
-    for seen in world_views(space) if space == "planar" else world_views(space)[2:]:
+    for seen in PICTURES[space].path:
         figure, grid = new_figure(4.6, 2.9)
         axes = grid[0, 0]
         # a body that turns where it is would hide all of its path
-        draw_path(axes, seen.place(states[:, :3]), over=space == "spatial")
+        draw_path(axes, seen.place(states[:, :3]), over=PICTURES[space].turning)
         draw_bodies(axes, dynamics, bodies, seen)
         axes.scatter(*seen.place(ends).T, s=5, color=INK, zorder=5)
         name = f"{gait.task_names[task]}: {len(states) - 1} steps from rest"
@@ -98,7 +98,7 @@ def strip_figure(
     n = gait.steps_per_cycle
     first = min(3 * n, len(states) - 1 - n)
     rows = {"steps of a cycle": [round(first + n * i / SHOWN) for i in range(SHOWN)]}
-    if space == "spatial":
+    if PICTURES[space].turning:
         rows["after cycles"] = [n * i for i in range(min(SHOWN, (len(states) - 1) // n + 1))]
     figure, grid = new_figure(4.6, 1.1 * len(rows) + 0.2, len(rows), 1)
     walks = dynamics.terrain is not None  # seen level, all standing feet are on the ground's line
@@ -149,7 +149,7 @@ def draw_path(axes: Axes, path: np.ndarray, over: bool = False) -> None:
 
 def states_along(states: np.ndarray, spacing: float, space: str) -> list[np.ndarray]:
     """Return the last state and others at least `spacing` (m) apart; in the plane, horizontally."""
-    d = SPACES[space]
+    d = SPACES[space].dimension
     chosen = [states[-1]]
     for x in states:
         if min(np.linalg.norm(x[:d] - other[:d]) for other in chosen) >= spacing:

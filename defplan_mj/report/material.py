@@ -14,6 +14,7 @@ import numpy as np
 from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.files import archive_meta
+from defplan_mj.base.space import PLANE, SPACE
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
@@ -94,12 +95,12 @@ class Material:
         """'planar' or 'spatial': where the task navigates."""
         if self.spec is not None:
             return self.spec.navigation.space
-        return self.logs[0].space if self.logs else "planar"
+        return self.logs[0].space if self.logs else PLANE.name
 
     @property
     def legged(self) -> bool:
         """Whether gaits are seen better from the side: in space, and on the ground."""
-        return self.space == "spatial" or (self.spec is not None and self.spec.terrain is not None)
+        return self.space == SPACE.name or (self.spec is not None and self.spec.world.walks)
 
     @property
     def switching(self) -> dict[str, Any]:

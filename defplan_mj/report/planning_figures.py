@@ -14,7 +14,7 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.log.plotting import FAINT, INK, OBSTACLE, PATH, SERIES, TARGET, new_figure, styled
 from defplan_mj.log.reader import EpisodeLog
 from defplan_mj.report.gait_figures import draw_bodies, draw_path, states_along
-from defplan_mj.report.views import View, episode_views, world_views
+from defplan_mj.report.views import PICTURES, View, episode_views
 
 _ABSCISSAE = {"transitions": "transitions", "iterations": "iterations", "seconds": "seconds"}
 _REWARD = "#c8392b"  # the paper's red mean, on grey from minimum to maximum
@@ -111,7 +111,7 @@ def draw_scene(axes: Axes, log: EpisodeLog, view: View, faint: bool = False) -> 
     Seen in parallel, a sphere is a circle from everywhere; a cylinder is one from above only.
     """
     scene, end = log.scene, float(log.time[-1])
-    place, solid = view.place, 0.85 if log.space == "planar" else 0.4
+    place, solid = view.place, PICTURES[log.space].solid
     x, y = place(scene.target)
     if not view.labels:  # an oblique view: where the target's foot is, level with the start
         foot = np.append(scene.target[:2], log.states[0, 2])
@@ -133,7 +133,8 @@ def overview_figures(logs: Sequence[EpisodeLog]) -> list[Figure]:
     """Return many episodes in one picture a view: how the paths fan out to their targets."""
     figures = []
     farthest = max(float(np.linalg.norm(log.scene.target)) for log in logs)
-    for view in world_views(logs[0].space):
+    views = PICTURES[logs[0].space].world
+    for view in views:
         figure, grid = new_figure(4.6, 4.2)
         axes = grid[0, 0]
         for log in logs:
@@ -142,7 +143,7 @@ def overview_figures(logs: Sequence[EpisodeLog]) -> list[Figure]:
             draw_path(axes, view.place(log.states[:, :3]))
         x, y = view.place(logs[0].states[0, :3])
         axes.scatter(x, y, s=18, color=INK, zorder=6)
-        if logs[0].space == "spatial":
+        if len(views) > 1:
             axes.set_title(view.name, loc="left")
         view.finish(axes, 0.3 * farthest)
         figures.append(figure)

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.log.compare import DRIFT_COLUMNS, compare_logs
 from defplan_mj.log.compare_plot import comparison_figures
 from defplan_mj.log.reader import EpisodeLog
-from defplan_mj.planning.evaluation import wilson_interval
 from defplan_mj.planning.outcome import ENDINGS, SCENES
 from defplan_mj.report.content import (
     Figures,
@@ -31,8 +31,8 @@ from defplan_mj.report.planning_figures import (
     success_figure,
 )
 from defplan_mj.report.sections import missing
+from defplan_mj.report.views import PICTURES
 
-SHOWN, SHOWN_IN_SPACE = 4, 2  # episodes of a kind that are drawn one by one
 MANY = 6  # episodes that call for an overview
 
 
@@ -165,37 +165,24 @@ def trajectory_section(material: Material) -> Section:
             log
         )
     for name, group in groups.items():
-        spatial = group[0].space == "spatial"
+        pictures = PICTURES[group[0].space]
         if len(group) >= MANY:
-            sides = (
-                ", seen obliquely (dotted: each target's foot, level with the start), from above, and "
-                "along y and x"
-                if spatial
-                else ""
-            )
             section.blocks.append(
                 Figures(
                     [drawing(figure) for figure in overview_figures(group)],
-                    f"All {len(group)} logged {name} episodes in one picture{sides}: paths from the "
-                    "common start (black dot) to the targets (red). Every episode has its own "
+                    f"All {len(group)} logged {name} episodes in one picture{pictures.overview_sides}: "
+                    "paths from the common start (black dot) to the targets (red). Every episode has its own "
                     "obstacles (blue): a path may cross those of another.",
                 )
             )
         # what failed is shown first
-        most = SHOWN_IN_SPACE if spatial else SHOWN
+        most = pictures.shown
         shown = sorted(group, key=lambda log: log.outcome == "success")[:most]
         more = f" ({len(shown)} of {len(group)}, failures first)" if len(group) > most else ""
-        sides = "from above and turned so that the target is to the right"
-        if spatial:
-            sides = (
-                "four pictures each: obliquely; turned so that the target is to the right, from above "
-                "and from the side; and along the way, with the target straight ahead. A path that "
-                "crosses an obstacle in one of them passes before or behind it"
-            )
         section.blocks.append(
             Figures(
                 [drawing(figure) for log in shown for figure in episode_figures(log, dynamics)],
-                f"Logged {name} episodes{more}, {sides}: path of the centre of mass (green), "
+                f"Logged {name} episodes{more}, {pictures.episode_sides}: path of the centre of mass (green), "
                 "silhouettes of the body on its way (black), obstacles (blue; a moving one where it "
                 "is at the end, dotted where it began), target within its goal radius (red).",
             )

@@ -35,19 +35,6 @@ _OPTIONS = (
     "gait_solver planner feedback solver_seeds pairs training_seconds episodes moving".split()
 )
 
-SECTIONS: tuple[Callable[[Material], Section], ...] = (
-    body_section,
-    gait_section,
-    check_section,
-    robustness_section,
-    surrogate_section,
-    training_section,
-    success_section,
-    trajectory_section,
-    comparison_section,
-    time_section,
-)
-
 
 def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Path:
     """Write `report.html` into a run's folder, atomically; what is missing is named in it.
@@ -64,9 +51,8 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
     material = gather(run_folder)
     sections = []
     for i, make in enumerate(SECTIONS):
-        progress("report", i / (len(SECTIONS) + 1))
+        progress("report", i / len(SECTIONS))
         sections.append(make(material))
-    sections.append(making_section(material))
     environment = Environment(
         loader=PackageLoader("defplan_mj.report", "."),
         autoescape=True,
@@ -123,6 +109,22 @@ def making_section(material: Material) -> Section:
     if hashes:
         section.blocks.append(Table(["content hash", ""], hashes))
     return section
+
+
+SECTIONS: tuple[Callable[[Material], Section], ...] = (
+    body_section,
+    gait_section,
+    check_section,
+    robustness_section,
+    surrogate_section,
+    training_section,
+    success_section,
+    trajectory_section,
+    comparison_section,
+    time_section,
+    making_section,
+)
+"""The page from top to bottom. A new section is a function that returns one, and its line here."""
 
 
 def command(material: Material) -> str:

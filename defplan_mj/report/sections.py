@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.gait.footing import SOLE, TORSO
-from defplan_mj.planning.evaluation import wilson_interval
 from defplan_mj.report.body_figures import mesh_figures, mode_figure
 from defplan_mj.report.content import (
     Block,
@@ -30,6 +30,7 @@ from defplan_mj.report.gait_figures import (
     strip_figure,
 )
 from defplan_mj.report.material import Material
+from defplan_mj.report.views import PICTURES
 
 
 def missing(material: Material, *names: str) -> Missing:
@@ -92,7 +93,7 @@ def gait_section(material: Material) -> Section:
     if gait.body_hash != dynamics.body.hash:
         section.blocks.append(Missing("The gaits belong to another body than this folder's."))
         return section
-    solver = gait.meta.get("solver", "")
+    solver, pictures = gait.meta.get("solver", ""), PICTURES[material.space]
     section.blocks.append(
         Text(
             f"{len(gait.task_names)} gaits share one period of {gait.cycle_seconds:.2f} s "
@@ -108,17 +109,16 @@ def gait_section(material: Material) -> Section:
             drawing(controls_figure(gait, task)),
             *(drawing(f) for f in path_figures(gait, task, dynamics, states, material.space)),
         ]
-        sides = "from above" if material.space == "planar" else "from two sides"
         caption = (
             f"Gait '{name}': the target shape of each modal coordinate over two cycles, and the "
             "path of the centre of mass (green, a black dot a cycle) when the gait is played "
-            f"from rest, with the body's silhouette {sides}"
+            f"from rest, with the body's silhouette {pictures.path_sides}"
         )
         if material.legged:
             strip = strip_figure(gait, task, dynamics, states, material.space)
             drawn.append(drawing(strip, shaded=True))
             caption += "; the body within a cycle, numbered by steps"
-            caption += ", and after each of the first cycles" * (material.space == "spatial")
+            caption += ", and after each of the first cycles" * pictures.turning
         section.blocks.append(Figures(drawn, f"{caption}."))
     history = gait.meta.get("history", [])
     if isinstance(history, list) and len(history) > 1:
@@ -157,7 +157,7 @@ def _gait_tables(material: Material) -> list[Block]:
     if tasks:
         goes = {t.name: t.advance > 0 for t in material.spec.gait_tasks} if material.spec else {}
         columns = {"advance (m)": "advance_m", "drift (m)": "drift_m", "turn (rad)": "turn_rad"}
-        spatial = material.space == "spatial"
+        spatial = PICTURES[material.space].turning
         if spatial:
             columns["stray (rad)"] = "stray_rad"
         rows = []
@@ -310,8 +310,8 @@ def time_section(material: Material) -> Section:
         section.blocks.append(missing(material, "run.json"))
         return section
     theirs = {"gait": paper.get("gait_h")}
-    if "dql_h" in paper:
-        theirs["planner"] = paper["dql_h"] + paper.get("cnn_h", 0.0)
+    if "planner_h" in paper:
+        theirs["planner"] = paper["planner_h"] + paper.get("features_h", 0.0)
     rows = []
     for stage, spent in seconds.items():
         hours = theirs.get(stage)
@@ -325,7 +325,7 @@ def time_section(material: Material) -> Section:
             ["stage", "here", "paper", "faster by"],
             rows,
             "Wall time of each stage in this run, beside the paper's Table I (an 8-core CPU; its "
-            "planner's time is DQL and CNN features together). A stage that was reused counts with "
+            "planner's time is learning and the laser's features together). A stage that was reused counts with "
             "the time it took when it was made.",
         )
     )

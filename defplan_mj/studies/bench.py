@@ -23,6 +23,7 @@ from defplan_mj.body.model import Body
 from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
+from defplan_mj.host.navigation import robot_environment
 from defplan_mj.kernel import library
 from defplan_mj.planning.outcome import Outcome
 from defplan_mj.planning.robot import Robot
@@ -267,7 +268,7 @@ def _decisions(dynamics: ReducedDynamics, gait: Gait, space: str, cycles: int) -
 
 def _environment(robot: Robot, navigation: Navigation, scene: Scene) -> Any:
     """Return the navigation environment in `scene`."""
-    environment = robot.environment(navigation, lambda random: scene, scene=scene)
+    environment = robot_environment(robot, navigation, lambda random: scene, scene=scene)
     environment.reset()
     return environment
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from defplan_mj.base import threads
 from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
@@ -18,7 +19,6 @@ from defplan_mj.dynamics.terrain import TerrainGeom, contact_law
 from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.switching import MAX_TILT, MIN_HEIGHT, heading, tilt, wrap
-from defplan_mj.planning.evaluation import wilson_interval
 
 SETTLE = 2  # cycles from rest whose drift is not counted
 

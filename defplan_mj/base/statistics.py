@@ -1,0 +1,14 @@
+"""Statistics of episodes: rates with their uncertainty."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def wilson_interval(count: int, n: int) -> tuple[float, float]:
+    """Return the 95% interval of a rate by Wilson's score, of `count` successes in `n` trials."""
+    z = 1.959963984540054
+    rate, weight = count / n, z * z / n
+    centre = (rate + weight / 2) / (1 + weight)
+    half = z / (1 + weight) * np.sqrt(rate * (1 - rate) / n + weight / (4 * n))
+    return max(0.0, float(centre - half)), min(1.0, float(centre + half))

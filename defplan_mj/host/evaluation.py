@@ -1,0 +1,297 @@
+"""Evaluation: planners steer the reduced dynamics through scenes in MuJoCo, episode by episode."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from defplan_mj.base import threads
+from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.base.statistics import wilson_interval
+from defplan_mj.host.navigation import robot_environment
+from defplan_mj.planning.outcome import ENDINGS, Outcome
+from defplan_mj.planning.planner import Planner
+from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.shield import Shield
+from defplan_mj.task import Navigation
+
+if TYPE_CHECKING:
+    from dm_control.rl.control import Environment
+
+    from defplan_mj.planning.robot import Robot
+    from defplan_mj.planning.surrogate import Surrogate
+
+PARALLEL_FROM = 16  # episodes; fewer are done before a second process has started
+
+
+class EpisodeRecorder(Protocol):
+    """What `run_episode` tells while an episode runs; `log.recorder.Recorder` is one."""
+
+    def begin(self, context: Mapping[str, Any], scene: Scene) -> None:
+        """Take what is known before the first step."""
+
+    def step(self, time: float, x: np.ndarray, target_shape: np.ndarray, clearance: float) -> None:
+        """Take one physics step."""
+
+    def cycle(
+        self,
+        index: int,
+        time: float,
+        x: np.ndarray,
+        gait_index: int,
+        values: np.ndarray,
+        reward: float,
+        laser: np.ndarray,
+    ) -> None:
+        """Take one gait cycle, after its last step."""
+
+    def end(self, outcome: str, reason: str = "") -> None:
+        """Take how the episode ended."""
+
+
+RecorderFactory = Callable[[int, Scene], AbstractContextManager[EpisodeRecorder] | None]
+"""Gives the recorder of episode i, or None; it must be picklable for parallel evaluation."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """How one episode went.
+
+    Attributes:
+        index: of the scene.
+        outcome: one of `planning.outcome.ENDINGS`.
+        cycles: gait cycles begun.
+        seconds: simulated time, s.
+        distance: from the target at the end, m.
+        closest: smallest clearance to an obstacle, m, at most 1.
+        reward: Eq. 2, summed.
+        path: length of the way of the centre of mass, from cycle to cycle, m.
+        tilt: largest tilt at the end of a cycle, rad.
+        wall: time of decisions and physics, s; the only entry that differs between reruns.
+        decision: time of a decision, mean, s; likewise.
+    """
+
+    index: int
+    outcome: str
+    cycles: int
+    seconds: float
+    distance: float
+    closest: float
+    reward: float
+    path: float
+    tilt: float
+    wall: float
+    decision: float
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """All episodes of one evaluation, in the order of their scenes."""
+
+    episodes: tuple[Episode, ...]
+
+    def count(self, outcome: str) -> int:
+        """Return how many episodes ended with `outcome`."""
+        return sum(episode.outcome == outcome for episode in self.episodes)
+
+    def rate(self, outcome: str) -> float:
+        """Return the share of episodes that ended with `outcome`."""
+        return self.count(outcome) / len(self.episodes)
+
+    def real_time_factor(self) -> float:
+        """Return simulated seconds a second of decisions and physics, of one process."""
+        wall = sum(episode.wall for episode in self.episodes)
+        return sum(episode.seconds for episode in self.episodes) / wall
+
+    def to_json(self) -> dict[str, Any]:
+        """Return rates, their 95% intervals and every episode as plain data."""
+        n = len(self.episodes)
+        good = [episode for episode in self.episodes if episode.outcome == Outcome.SUCCESS]
+        decisions = [episode.decision for episode in self.episodes]
+        return {
+            "episodes": n,
+            **{outcome: self.rate(outcome) for outcome in ENDINGS},
+            "interval": {
+                outcome: list(wilson_interval(self.count(outcome), n)) for outcome in ENDINGS
+            },
+            "cycles_mean": float(np.mean([e.cycles for e in good])) if good else None,
+            "decision_ms": 1e3 * float(np.median(decisions)),
+            "real_time_factor": self.real_time_factor(),
+            "rows": [asdict(episode) for episode in self.episodes],
+        }
+
+
+def run_episode(
+    env: Environment,
+    scene: Scene,
+    planner: Planner,
+    recorder: EpisodeRecorder | None = None,
+    context: Mapping[str, Any] | None = None,
+    index: int = 0,
+) -> Episode:
+    """Let a planner steer through one scene of the host's navigation environment.
+
+    Args:
+        env: of `host.navigation.navigation_environment`.
+        recorder: told every step and cycle.
+        context: of the log, JSON-able; time step and start state are added.
+        index: of the episode.
+    """
+    task, physics = env.task, env.physics
+    task.scene = scene
+    observation = env.reset().observation
+    planner.reset()
+    if recorder is not None:
+        start = {
+            "timestep": physics.timestep(),
+            **physics.stepping,
+            "state": physics.reduced_state(),
+        }
+        recorder.begin({**(context or {}), **start}, scene)
+        task.step_hook = lambda now, shape: recorder.step(
+            now.time(), now.reduced_state(), shape, now.clearance()
+        )
+    reward = path = tilt = thinking = moving = 0.0
+    try:
+        while task.outcome == Outcome.RUNNING:
+            at, x, laser = physics.time(), physics.reduced_state(), observation["laser"]
+            begun = time.perf_counter()
+            values = planner.values(observation)
+            gait = int(np.argmax(values))
+            decided = time.perf_counter()
+            step = env.step(gait)
+            thinking += decided - begun
+            moving += time.perf_counter() - decided
+            observation = step.observation
+            reward += step.reward
+            path += float(np.linalg.norm(physics.com() - x[:3]))
+            tilt = max(tilt, float(np.arccos(np.clip(physics.upright(), -1, 1))))
+            if recorder is not None:
+                recorder.cycle(task.cycles - 1, at, x, gait, values, step.reward, laser)
+    finally:
+        task.step_hook = None
+    distance = task.distance(physics)
+    if recorder is not None:
+        recorder.end(task.outcome, _reason(task.outcome, task.cycles, distance))
+    return Episode(
+        index=index,
+        outcome=task.outcome,
+        cycles=task.cycles,
+        seconds=physics.time(),
+        distance=distance,
+        closest=task.closest,
+        reward=reward,
+        path=path,
+        tilt=tilt,
+        wall=thinking + moving,
+        decision=thinking / max(task.cycles, 1),
+    )
+
+
+def evaluate(
+    robot: Robot,
+    surrogate: Surrogate,
+    navigation: Navigation,
+    planner: Planner,
+    scenes: Sequence[Scene],
+    *,
+    shield: bool = True,
+    recorder: RecorderFactory | None = None,
+    context: Mapping[str, Any] | None = None,
+    workers: int | None = None,
+    progress: Progress = no_progress,
+) -> EvaluationResult:
+    """Run one episode in every scene on the reduced dynamics; the result is that of one process.
+
+    Args:
+        planner: picklable.
+        shield: wrap the planner in the safety shield.
+        recorder: gives the recorders of those episodes that are to be logged.
+        context: of the logs.
+        workers: processes (default: one for each core, at most 2, and 1 for a few episodes).
+    """
+    pilot: Planner = Shield(planner, surrogate, navigation) if shield else planner
+    if workers is None:
+        workers = min(threads.available_cores(), 2) if len(scenes) >= PARALLEL_FROM else 1
+    run = functools.partial(_run_share, robot, navigation, pilot, recorder, context)
+    numbered = list(enumerate(scenes))
+    pieces = 1 if workers == 1 else 8 * workers
+    shares = [numbered[i::pieces] for i in range(pieces) if numbered[i::pieces]]
+    ended: list[Episode] = []
+    for episodes in _map(run, shares, workers):
+        for episode in episodes:
+            ended.append(episode)
+            progress(f"{episode.outcome} in {episode.cycles} cycles", len(ended) / len(scenes))
+    return EvaluationResult(tuple(sorted(ended, key=lambda episode: episode.index)))
+
+
+_Share = list[tuple[int, Scene]]
+
+
+def _map(
+    run: Callable[[_Share], Iterator[Episode]], shares: list[_Share], workers: int
+) -> Iterator[Iterator[Episode]]:
+    if workers == 1:
+        yield from map(run, shares)
+        return
+    from joblib import Parallel, delayed, parallel_config
+
+    with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
+        parallel = Parallel(return_as="generator_unordered", pre_dispatch=2 * workers)
+        yield from parallel(delayed(_as_list)(run, share) for share in shares)
+
+
+def _as_list(run: Callable[[_Share], Iterator[Episode]], share: _Share) -> Any:
+    return list(run(share))
+
+
+def _run_share(
+    robot: Robot,
+    navigation: Navigation,
+    pilot: Planner,
+    recorder: RecorderFactory | None,
+    context: Mapping[str, Any] | None,
+    share: _Share,
+) -> Iterator[Episode]:
+    """Run the episodes of some scenes, one after the other."""
+    env = _environment(robot, navigation)
+    for index, scene in share:
+        manager = recorder(index, scene) if recorder is not None else None
+        if manager is None:
+            yield run_episode(env, scene, pilot, index=index)
+            continue
+        with manager as log:
+            yield run_episode(env, scene, pilot, log, {**(context or {}), "episode": index}, index)
+
+
+_environments: dict[tuple[str, ...], Environment] = {}
+
+
+def _environment(robot: Robot, navigation: Navigation) -> Environment:
+    """Return this process' environment, built once."""
+    key = (*robot.identity, repr(navigation))
+    if key not in _environments:
+        _environments.clear()
+
+        def sampler(random: np.random.RandomState) -> Scene:
+            raise AssertionError("an evaluation sets every scene itself")
+
+        _environments[key] = robot_environment(robot, navigation, sampler)
+    return _environments[key]
+
+
+def _reason(outcome: Outcome, cycles: int, distance: float) -> str:
+    """Return how an episode ended, for people."""
+    what = {
+        Outcome.SUCCESS: "reached the target",
+        Outcome.COLLISION: "touched an obstacle",
+        Outcome.FALL: "fell",
+        Outcome.TIMEOUT: "ran out of time",
+    }[outcome]
+    return f"{what} after {cycles} cycles, {distance:.2f} m from its centre"

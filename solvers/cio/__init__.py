@@ -1,0 +1,1 @@
+"""Gait solvers that choose contacts along with the motion (contact-invariant optimisation)."""

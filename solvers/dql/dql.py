@@ -1,0 +1,144 @@
+"""Planner `dql`: deep Q-learning on the rigid surrogate; acts by a small network in plain NumPy.
+
+The recipe is in `training.py`, which is imported only to train: acting needs no torch.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.planning.observation import Senses
+from defplan_mj.planning.planner import Observation, Planner, TrainResult
+from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.task import Navigation
+from defplan_solvers.policy_files import load_policy, save_policy
+from defplan_solvers.search.loops import LoopBreaker
+
+
+@dataclass(frozen=True)
+class QNetwork:
+    """A fully connected network with softplus units (the paper's BNLL): features to gait values.
+
+    Attributes:
+        weights: of each layer, (outputs, inputs).
+        biases: of each layer, (outputs,).
+    """
+
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
+
+    def __call__(self, inputs: np.ndarray) -> np.ndarray:
+        """Return the (..., K) values of (..., inputs) features."""
+        hidden = inputs
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            hidden = np.logaddexp(hidden @ weight.T + bias, np.float32(0))
+        return hidden @ self.weights[-1].T + self.biases[-1]
+
+
+class DqlPlanner:
+    """A trained Q network as a planner.
+
+    Args:
+        network: values of the gaits.
+        surrogate: of the robot.
+        navigation: for the laser and the space.
+        meta: how the network was trained.
+    """
+
+    def __init__(
+        self, network: QNetwork, surrogate: Surrogate, navigation: Navigation, meta: dict
+    ) -> None:
+        self.network, self.meta = network, meta
+        self.task_names, self.navigation = surrogate.task_names, navigation
+        self.senses = Senses(surrogate, navigation)
+        self.loops = LoopBreaker(surrogate, navigation)
+
+    def reset(self) -> None:
+        """Forget the episode."""
+        self.loops.reset()
+
+    def values(self, observation: Observation) -> np.ndarray:
+        """Return the (K,) Q values, lowered where they would lead round in circles."""
+        laser, target = observation["laser"], observation["target"][: self.navigation.dimension]
+        return self.loops.adjust(self.network(self.senses(laser, target)), target, observation)
+
+
+class DqlSolver:
+    """The planner plugin `dql`."""
+
+    kind = "planner"
+    name = "dql"
+    summary = "deep Q-learning on the surrogate (stable-baselines3), many varied scenes at once"
+    needs_training = True
+    default = True
+
+    def train(
+        self,
+        surrogate: Surrogate,
+        navigation: Navigation,
+        seed: int,
+        seconds: float | None = None,
+        progress: Progress = no_progress,
+    ) -> TrainResult:
+        """Train a network; the same seed gives the same network to the bit.
+
+        Curves, one entry a checkpoint: `transitions`; `k2_reward_mean`, `_min`, `_max` (Eq. 2 over
+        an episode) and `k2_success` on the K2 scenes of this seed; `novel_success`;
+        `validation_score` and `validation_score_averaged` (success less time-outs on held-out scenes,
+        plus success on the K2 scenes), by which the network is chosen.
+
+        Args:
+            seconds: limit of the wall time (None: none); reached, the result depends on the machine.
+        """
+        from defplan_solvers.dql.training import Recipe, train
+
+        started = time.perf_counter()
+        limit = float("inf") if seconds is None else seconds
+        network, curves, meta = train(surrogate, navigation, seed, Recipe(), limit, progress)
+        planner = DqlPlanner(network, surrogate, navigation, meta)
+        spent = time.perf_counter() - started
+        return TrainResult(planner, curves, spent, meta["stopped_early"])
+
+    def save(self, planner: Planner, path: Path) -> None:
+        """Write the network to `path` (npz), atomically."""
+        assert isinstance(planner, DqlPlanner)
+        arrays: dict[str, np.ndarray] = {}
+        network = planner.network
+        for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+            arrays[f"weight{i}"], arrays[f"bias{i}"] = weight, bias
+        meta = {
+            "layers": len(network.weights),
+            "task_names": list(planner.task_names),
+            "laser_range": planner.navigation.laser_range,
+            "training": planner.meta,
+        }
+        save_policy(path, self.name, arrays, meta)
+
+    def load(self, path: Path, surrogate: Surrogate, navigation: Navigation) -> DqlPlanner:
+        """Read a network of `save`.
+
+        Raises:
+            DefplanError: the file is missing, damaged, of another version, planner or robot.
+        """
+        arrays, meta = load_policy(path, self.name, surrogate.task_names)
+        layers = range(meta["layers"])
+        network = QNetwork(
+            tuple(arrays[f"weight{i}"] for i in layers), tuple(arrays[f"bias{i}"] for i in layers)
+        )
+        trained = replace(navigation, laser_range=meta["laser_range"])
+        planner = DqlPlanner(network, surrogate, trained, meta["training"])
+        if network.weights[0].shape[1] != planner.senses.size:
+            raise DefplanError(
+                f"{path} wants {network.weights[0].shape[1]} inputs, this task's laser, target and"
+                f" gaits give {planner.senses.size}: train the planner anew"
+            )
+        return planner
+
+
+SOLVER = DqlSolver()
