@@ -519,16 +519,7 @@ def shake(dynamics: ReducedDynamics, steps: int, seed: int, inputs, run: int = 5
         assert np.isfinite(states).all()
 
 
-JUMPS = pytest.param(
-    jumps,
-    marks=pytest.mark.xfail(
-        reason="seed 1, run 4, step 475: 60 rad/s meet the ground, no solution in 128 parts",
-        strict=False,
-    ),
-)
-
-
-@pytest.mark.parametrize("inputs", [gaits, JUMPS])
+@pytest.mark.parametrize("inputs", [gaits, jumps])
 def test_no_solve_fails_under_vigorous_random_motion(small_walker, inputs):
     shake(ReducedDynamics(small_walker, H, Terrain()), 3000, 1, inputs)
 

@@ -17,7 +17,7 @@ void euler_pull(Work* w, const double* lambda, double* a1, double* a2, double* a
   for (int i = 0; i < 9 * kp; i++) T[i] = 0;
   for (int t = 0; t < 2; t++) {
     const double* A = t ? w->now.R : Rl;
-    moments_apply(b, t ? dz : w->now.zeta, w->P);
+    moments_apply(b, 1, t ? dz : w->now.zeta, w->P);
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++) {
         double* restrict Tij = T + (3 * i + j) * kp;

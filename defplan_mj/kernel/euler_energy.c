@@ -31,7 +31,7 @@ void work_prepare(Work* w, int derivatives) {
     Config* cfg = t ? &w->two : &w->one;
     const double factor = (t ? -1 : 2) * ih2;
     kinematics(b, cfg->q, derivatives, cfg->zeta, w->scratch_lagged);
-    moments_apply(b, cfg->zeta, w->P);
+    moments_apply(b, 1, cfg->zeta, w->P);
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++) {
         double* restrict Wij = w->W + (3 * i + j) * kp;

@@ -65,6 +65,7 @@ typedef struct {
   const double* coefficients; /* rows (y) x columns (x): cubic B-spline of the heights */
 } Terrain;
 
+enum { TERRAIN_GEOM = 16 }; /* numbers of a geom in it */
 int terrain_view(Terrain* t, const double* terrain, size_t n);
 /* One part of the terrain at p: a smooth gap, its gradient and Hessian (gradient, hessian may be NULL).
  * Parts are the geoms, then the heightfield, whose gap is vertical: divide by |gradient| for a distance. */
@@ -113,6 +114,10 @@ static inline void quat_mul(const double* a, const double* b, double* out) {
   double y = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1];
   double z = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0];
   out[0] = w, out[1] = x, out[2] = y, out[3] = z;
+}
+static inline void quat_between(const double* from, const double* to, double* q) { /* q from = to */
+  const double back[4] = {from[0], -from[1], -from[2], -from[3]};
+  quat_mul(to, back, q);
 }
 static inline void quat_normalize(double* q) {
   double s = 1 / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
@@ -193,18 +198,52 @@ static inline void multiply(int m, const double* a, int row, int col, const doub
     multiply_row(a, col, b, inner, n, out);
     return;
   }
-  for (int i = 0; i < m;) {
-    const int rows = m - i > 6 ? (m - i < 10 ? 5 : 6) : m - i;
-    for (int j = 0; j < n; j += 8) {
+  for (int j = 0; j < n; j += 8) /* columns outside: those of B stay near while the rows of A pass */
+    for (int i = 0, rows; i < m; i += rows) {
       const double *A = a + (size_t)i * row, *B = b + j;
       double* o = out + (size_t)i * n + j;
+      rows = m - i > 6 ? (m - i < 10 ? 5 : 6) : m - i;
       switch (rows) { /* constant arguments: the loops unroll */
 #define BLOCK(R) case R: multiply_block(R, A, row, col, B, inner, n, o); break;
         BLOCK(1) BLOCK(2) BLOCK(3) BLOCK(4) BLOCK(5) BLOCK(6)
 #undef BLOCK
       }
     }
-    i += rows;
+}
+
+/* out[i stride + j] += a_i . b_j for rows a_i (m) and b_j (n) of `length` numbers, a multiple of 8. */
+static inline __attribute__((always_inline)) void products_block(int rows, const double* a, const double* b,
+                                                                 int length, double* out, int stride) {
+  Vec sums[2][4];
+  for (int i = 0; i < rows; i++)
+    for (int j = 0; j < 4; j++) sums[i][j] = (Vec){0};
+  for (int k = 0; k < length; k += LANES)
+    for (int i = 0; i < rows; i++) {
+      const Vec left = *(const AnyVec*)(a + (size_t)i * length + k);
+      for (int j = 0; j < 4; j++) sums[i][j] += left * *(const AnyVec*)(b + (size_t)j * length + k);
+    }
+  for (int i = 0; i < rows; i++)
+    for (int j = 0; j < 4; j++)
+      for (int lane = 0; lane < LANES; lane++) out[i * stride + j] += sums[i][j][lane];
+}
+static inline void products(const double* a, int m, const double* b, int n, int length, double* out, int stride) {
+  int i = 0;
+  for (; i < m; i += 2) {
+    const int rows = m - i < 2 ? 1 : 2;
+    const double* A = a + (size_t)i * length;
+    double* o = out + i * stride;
+    int j = 0;
+    for (; j + 4 <= n; j += 4) {
+      if (rows == 2) products_block(2, A, b + (size_t)j * length, length, o + j, stride);
+      else products_block(1, A, b + (size_t)j * length, length, o + j, stride);
+    }
+    for (; j < n; j++)
+      for (int row = 0; row < rows; row++) {
+        const double *restrict x = A + (size_t)row * length, *restrict y = b + (size_t)j * length;
+        double s = 0;
+        for (int k = 0; k < length; k++) s += x[k] * y[k];
+        o[row * stride + j] += s;
+      }
   }
 }
 
@@ -215,8 +254,8 @@ size_t kinematics_scratch(const Body* b);
 void kinematics(const Body* b, const double* q, int derivatives, double* zeta, double* scratch);
 /* hess (r x rp) += sum_a grad[a] d2 zeta_a / dq2, after kinematics with derivatives at the same q */
 void kinematics_curvature(const Body* b, const double* grad, double* scratch, double* hess);
-/* out (9 x kp): P_a(zeta)_ij = sum_b S_ab,ij zeta_b */
-void moments_apply(const Body* b, const double* zeta, double* out);
+/* out (m x 9 x kp): P_a,ij = sum_b S_ab,ij zeta_b for m rows of zeta (m x kp) */
+void moments_apply(const Body* b, int m, const double* zeta, double* out);
 /* out (m x 3 x n): sum_a zeta_ma field[a][i][s], a <= k, for a field kp x 3 x n */
 void field_apply(const Body* b, const double* field, int m, const double* zeta, int n, double* out);
 /* out[a] += sum_i,s field[a][i][s] v[i][s], a <= k */

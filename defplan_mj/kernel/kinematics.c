@@ -101,29 +101,54 @@ int dp_check_feet(const double* blob, const double* feet, size_t n) {
 }
 
 /* Coefficients of exp([w]) = I + a [w] + b [w]^2 as functions of T = |w|^2, and a1 = 2 da/dT,
- * a2 = 2 da1/dT, likewise b, so that da/dw = a1 w. */
-static const double EXP_SERIES[6][7] = {
-    {1., -1. / 6., 1. / 120., -1. / 5040., 1. / 362880., -1. / 39916800., 1. / 6227020800.}, /* a */
-    {1. / 2., -1. / 24., 1. / 720., -1. / 40320., 1. / 3628800., -1. / 479001600., 1. / 87178291200.}, /* b */
-    {-1. / 3., 1. / 30., -1. / 840., 1. / 45360., -1. / 3991680., 1. / 518918400., -1. / 93405312000.}, /* a1 */
-    {-1. / 12., 1. / 180., -1. / 6720., 1. / 453600., -1. / 47900160., 1. / 7264857600., -1. / 1494484992000.}, /* b1 */
-    {1. / 15., -1. / 210., 1. / 7560., -1. / 498960., 1. / 51891840., -1. / 7783776000., 1. / 1587890304000.}, /* a2 */
-    {1. / 90., -1. / 1680., 1. / 75600., -1. / 5987520., 1. / 726485760., -1. / 124540416000., 1. / 28582025472000.}, /* b2 */
+ * a2 = 2 da1/dT, likewise b, so that da/dw = a1 w. Their series: exact to the last digit up to T = 4;
+ * the closed forms lose digits near zero. */
+enum { TERMS = 12 };
+static const double SERIES_END = 4;
+static const double EXP_SERIES[6][TERMS] = {
+    {1., -1. / 6., 1. / 120., -1. / 5040., 1. / 362880., -1. / 39916800., 1. / 6227020800.,
+     -1. / 1307674368000., 1. / 355687428096000., -1. / 121645100408832000.,
+     1. / 51090942171709440000., -1. / 25852016738884976640000.}, /* a */
+    {1. / 2., -1. / 24., 1. / 720., -1. / 40320., 1. / 3628800., -1. / 479001600.,
+     1. / 87178291200., -1. / 20922789888000., 1. / 6402373705728000.,
+     -1. / 2432902008176640000., 1. / 1124000727777607680000., -1. / 620448401733239439360000.}, /* b */
+    {-1. / 3., 1. / 30., -1. / 840., 1. / 45360., -1. / 3991680., 1. / 518918400.,
+     -1. / 93405312000., 1. / 22230464256000., -1. / 6758061133824000.,
+     1. / 2554547108585472000., -1. / 1175091669949317120000., 1. / 646300418472124416000000.}, /* a1 */
+    {-1. / 12., 1. / 180., -1. / 6720., 1. / 453600., -1. / 47900160., 1. / 7264857600.,
+     -1. / 1494484992000., 1. / 400148356608000., -1. / 135161222676480000.,
+     1. / 56200036388880384000., -1. / 28202200078783610880000.,
+     1. / 16803810880275234816000000.}, /* b1 */
+    {1. / 15., -1. / 210., 1. / 7560., -1. / 498960., 1. / 51891840., -1. / 7783776000.,
+     1. / 1587890304000., -1. / 422378820864000., 1. / 141919283810304000.,
+     -1. / 58754583497465856000., 1. / 29377291748732928000000.,
+     -1. / 17450111298747359232000000.}, /* a2 */
+    {1. / 90., -1. / 1680., 1. / 75600., -1. / 5987520., 1. / 726485760., -1. / 124540416000.,
+     1. / 28582025472000., -1. / 8447576417280000., 1. / 3122224243826688000.,
+     -1. / 1410110003939180544000., 1. / 763809585467056128000000.,
+     -1. / 488603116364926058496000000.}, /* b2 */
 };
 
-/* out[0], out[LANES], ...: a, b, a1, b1, a2, b2, each in a lane of its vector */
-static void exp_coef(double t2, double* out) {
-  double s[6] = {0};
-  if (t2 < .25) { /* series: the closed forms lose digits near zero */
-    for (int i = 6; i >= 0; i--)
-      for (int j = 0; j < 6; j++) s[j] = s[j] * t2 + EXP_SERIES[j][i];
-  } else {
-    const double t = sqrt(t2), cs = cos(t);
-    s[0] = sin(t) / t, s[1] = (1 - cs) / t2;
-    s[2] = (cs - s[0]) / t2, s[3] = (s[0] - 2 * s[1]) / t2;
-    s[4] = -(s[0] + 3 * s[2]) / t2, s[5] = (s[2] - 4 * s[3]) / t2;
-  }
+/* The same by closed forms: out[0], out[LANES], ...: a, b, a1, b1, a2, b2, each in a lane of its vector */
+static void exp_closed(double t2, double* out) {
+  const double t = sqrt(t2), c = cos(t);
+  double s[6] = {sin(t) / t, (1 - c) / t2};
+  s[2] = (c - s[0]) / t2, s[3] = (s[0] - 2 * s[1]) / t2;
+  s[4] = -(s[0] + 3 * s[2]) / t2, s[5] = (s[2] - 4 * s[3]) / t2;
   for (int j = 0; j < 6; j++) out[LANES * j] = s[j];
+}
+
+/* The first n of the coefficients for a block of samples */
+static inline __attribute__((always_inline)) void exp_coef(Vec t2, const int n, Vec* out) {
+  for (int j = 0; j < n; j++) out[j] = (Vec){0} + EXP_SERIES[j][TERMS - 1];
+  for (int i = TERMS - 2; i >= 0; i--)
+    for (int j = 0; j < n; j++) out[j] = out[j] * t2 + EXP_SERIES[j][i];
+  for (int lane = 0; lane < LANES; lane++) {
+    double all[6 * LANES];
+    if (t2[lane] <= SERIES_END) continue;
+    exp_closed(t2[lane], all + lane);
+    for (int j = 0; j < n; j++) out[j][lane] = all[LANES * j + lane];
+  }
 }
 
 /* Samples are worked on four at a time: every quantity below is a vector over a block of four.
@@ -156,8 +181,9 @@ void kinematics(const Body* b, const double* q, int derivatives, double* restric
       for (int c = 0; c < r; c++) x[i] += load(L + (i * r + c) * lanes) * q[c];
     }
     const Vec t2 = x[0] * x[0] + x[1] * x[1] + x[2] * x[2];
-    for (int lane = 0; lane < LANES; lane++) exp_coef(t2[lane], (double*)coef + lane);
-    const Vec a = coef[0], bb = coef[1], a1 = coef[2], b1 = coef[3], zero = {0};
+    if (derivatives) exp_coef(t2, 6, coef);
+    else exp_coef(t2, 2, coef);
+    const Vec a = coef[0], bb = coef[1], zero = {0};
     strain_matrix(x, Y);
     W[0] = W[4] = W[8] = zero, W[1] = -x[2], W[2] = x[1], W[3] = x[2], W[5] = -x[0], W[6] = -x[1], W[7] = x[0];
     for (int i = 0; i < 3; i++)
@@ -168,6 +194,7 @@ void kinematics(const Body* b, const double* q, int derivatives, double* restric
         *(Vec*)(f + (3 * i + j) * lanes + LANES * e) =
             E[3 * i] * Y[j] + E[3 * i + 1] * Y[3 + j] + E[3 * i + 2] * Y[6 + j] - (double)(i == j);
     if (!derivatives) continue;
+    const Vec a1 = coef[2], b1 = coef[3];
     for (int n = 0; n < 3; n++) { /* D_n = dE/dw_n */
       Vec* Dn = D + 9 * n;
       for (int i = 0; i < 3; i++)
@@ -253,8 +280,8 @@ void kinematics_curvature(const Body* b, const double* grad, double* restrict sc
   }
 }
 
-void moments_apply(const Body* b, const double* zeta, double* restrict out) {
-  multiply(1, zeta, 0, 1, b->moments, b->k + 1, 9 * b->kp, out);
+void moments_apply(const Body* b, int m, const double* zeta, double* restrict out) {
+  multiply(m, zeta, b->kp, 1, b->moments, b->k + 1, 9 * b->kp, out);
 }
 
 void field_apply(const Body* b, const double* field, int m, const double* zeta, int n, double* restrict out) {

@@ -1,7 +1,6 @@
 /* Small dense linear algebra of the Newton iterations. */
 #include "work.h"
 
-/* L of A = L L^T (row-major, lower); 0 if A is not positive definite. */
 int cholesky(const double* A, int n, double* L) {
   for (int j = 0; j < n; j++) {
     double s = A[j * n + j];
@@ -80,4 +79,20 @@ void lu_solve_transposed(const double* LU, const int* pivot, int n, const double
     const double t = x[pivot[i]];
     x[pivot[i]] = x[i], x[i] = t;
   }
+}
+
+int factorise(Factors* f, const double* A, int n, int symmetric) {
+  int sign;
+  f->n = n, f->symmetric = symmetric;
+  if (symmetric) return cholesky(A, n, f->A);
+  memcpy(f->A, A, sizeof(double) * n * n);
+  return lu(f->A, n, f->pivot, &sign);
+}
+void solve(const Factors* f, const double* rhs, double* x) {
+  if (f->symmetric) cholesky_solve(f->A, f->n, rhs, x);
+  else lu_solve(f->A, f->pivot, f->n, rhs, x);
+}
+void solve_transposed(const Factors* f, const double* rhs, double* x) {
+  if (f->symmetric) cholesky_solve(f->A, f->n, rhs, x);
+  else lu_solve_transposed(f->A, f->pivot, f->n, rhs, x);
 }

@@ -19,7 +19,7 @@ void dp_energy(const dp_model* m, const double* x, double out[9]) {
   quat_matrix(now.quat, R[0]), quat_matrix(before.quat, R[1]);
   /* N = sum_v m_v (R_1 y_1) (R_0 y_0)^T */
   double N[9], Q[9], RQ[9];
-  moments_apply(b, zeta[1], P); /* P_a,ij = sum_v m Phi_a,i y_0,j */
+  moments_apply(b, 1, zeta[1], P); /* P_a,ij = sum_v m Phi_a,i y_0,j */
   for (int i = 0; i < 9; i++) Q[i] = inner(P + i * kp, zeta[0], kp);
   for (int i = 0; i < 3; i++)
     for (int j = 0; j < 3; j++)
@@ -129,7 +129,7 @@ void dp_feet(const dp_model* m, const double* qpos, double* points, double* jaco
       double* row = jacobian + (size_t)(3 * s + i) * nq;
       for (int j = 0; j < 3; j++) row[j] = i == j;
       for (int c = 0; c < r; c++) row[7 + c] = world[((1 + c) * 3 + i) * np + s];
-      /* a turn t moves the point by t x y; dt over the quaternion as in derivatives.c */
+      /* a turn t moves the point by t x y; dt over the quaternion as in step.c's pull_input */
       double g[3] = {0}, cr[3];
       g[(i + 1) % 3] = y[(i + 2) % 3], g[(i + 2) % 3] = -y[(i + 1) % 3];
       cross3(qpos + 4, g, cr);

@@ -14,30 +14,32 @@ size_t path_lay(Path* p, const Parts* parts, double* memory) {
   size_t used = 0;
   p->body = b, p->par = parts->model->par, p->feet = parts->feet, p->terrain = parts->terrain;
   p->n0 = p->nodes, p->n1 = p->nodes + 1, p->n2 = p->nodes + 2;
+  p->n_near = p->mp = p->m = 0;
   for (int i = 0; i < 3; i++) {
     Node* n = p->nodes + i;
     n->zeta = at(memory, &used, (1 + r) * kp), n->dz = memory ? n->zeta + kp : NULL;
-    n->scratch = at(memory, &used, kinematics_scratch(b)), n->P = at(memory, &used, 9 * kp);
+    n->P = at(memory, &used, (1 + r) * 9 * kp), n->Q = memory ? n->P + 9 * kp : NULL;
     n->y = at(memory, &used, (1 + r) * 3 * np), n->Jq = memory ? n->y + 3 * np : NULL;
+    n->scratch = at(memory, &used, kinematics_scratch(b));
     n->tangent1 = at(memory, &used, 3 * np), n->tangent2 = at(memory, &used, 3 * np);
     n->area = at(memory, &used, 3 * np), n->touch = at(memory, &used, 3 * nc);
+    n->touch_known = n->moments_known = 0;
   }
-  p->local = at(memory, &used, (1 + r) * 3 * np);
+  p->local = at(memory, &used, (1 + r) * 3 * np), p->columns = at(memory, &used, (6 + r) * 3 * np);
   p->mean01 = at(memory, &used, 3 * np), p->area12 = at(memory, &used, 3 * np);
   p->f01 = at(memory, &used, 3 * np), p->f12 = at(memory, &used, 3 * np);
   p->D01 = at(memory, &used, 6 * np), p->D12 = at(memory, &used, 6 * np);
-  p->base_gz = at(memory, &used, kp), p->gz = at(memory, &used, kp);
   p->feet_y = at(memory, &used, 3 * nf), p->feet_Jq = at(memory, &used, r * 3 * nf);
-  p->touch_f = at(memory, &used, 3 * nc), p->touch_D = at(memory, &used, 9 * nc);
-  p->touch_F = at(memory, &used, 9 * nc), p->touch_J = at(memory, &used, 3 * r * nc);
+  p->near_field = at(memory, &used, kp * 3 * nc), p->near_Jq = at(memory, &used, r * 3 * nc);
+  p->near_y1 = at(memory, &used, 3 * nc), p->near_y2 = at(memory, &used, 3 * nc);
+  p->near_f = at(memory, &used, 3 * nc);
+  p->touch_D = at(memory, &used, 9 * nc), p->touch_F = at(memory, &used, 9 * nc);
   double** pulls[7] = {&p->pull_w, &p->pull_arm, &p->pull_01, &p->pull_a01, &p->pull_12, &p->pull_a12, &p->pull_f};
   for (int i = 0; i < 7; i++) *pulls[i] = at(memory, &used, 3 * np);
-  p->local_moments = at(memory, &used, 9 * kp);
+  p->along_moments = at(memory, &used, 9 * kp);
   p->curvature = at(memory, &used, r * b->rp);
   return used;
 }
-
-static int has_drag(const Path* p) { return p->body->np && p->par[DP_FLUID_DENSITY] != 0; }
 
 static void area_vectors(const Path* p, Node* n) {
   const Body* b = p->body;
@@ -53,26 +55,28 @@ static void area_vectors(const Path* p, Node* n) {
   rotate(n->R, a, np, n->area);
 }
 
-void node_set(const Path* p, Node* n, const Pose* pose, int level) {
+void node_set(const Path* p, Node* n, const Pose* pose, int what) {
   const Body* b = p->body;
-  const int np = b->np, whole = level == NODE_WHOLE;
-  if (&n->at != pose) n->at = *pose;
-  const double fields = b->nf + (has_drag(p) ? 3 * np : 0), once = 9 * b->kp + (level ? 6 * np : 0) + 3 * b->nc;
-  *p->spent += b->kp * ((whole ? 1 + b->r : 1) * fields + once);
+  const int np = b->np, tangent = what & TANGENT, areas = what & AREAS;
+  if (&n->at != pose) {
+    if (memcmp(&n->at, pose, sizeof n->at)) n->touch_known = 0;
+    n->at = *pose;
+  }
+  n->moments_known = 0;
+  const int fields = what & DRAG_TANGENT ? 1 + b->r : 1;
+  *p->spent += (double)b->kp * b->nf * (tangent ? 1 + b->r : 1);
   quat_matrix(n->at.quat, n->R);
-  kinematics(b, n->at.q, whole, n->zeta, n->scratch);
-  moments_apply(b, n->zeta, n->P);
-  if (has_drag(p)) {
-    field_apply(b, b->points, whole ? 1 + b->r : 1, n->zeta, np, p->local);
-    for (int c = 0; c <= (whole ? b->r : 0); c++)
-      rotate(n->R, p->local + c * 3 * np, np, n->y + c * 3 * np);
-    if (level != NODE_RESIDUAL) area_vectors(p, n);
-  }
-  if (terrain_parts(&p->terrain)) {
-    double local[3 * DP_MAX_CONTACTS];
-    field_apply(b, b->contacts, 1, n->zeta, b->nc, local);
-    rotate(n->R, local, b->nc, n->touch);
-  }
+  kinematics(b, n->at.q, tangent, n->zeta, n->scratch);
+  if (!has_drag(p)) return;
+  *p->spent += b->kp * 3. * np * (fields + (areas ? 2 : 0));
+  field_apply(b, b->points, fields, n->zeta, np, p->local);
+  for (int c = 0; c < fields; c++) rotate(n->R, p->local + c * 3 * np, np, n->y + c * 3 * np);
+  if (areas) area_vectors(p, n);
+}
+
+void node_moments(const Path* p, Node* n) {
+  if (!n->moments_known) moments_apply(p->body, 1, n->zeta, n->P);
+  n->moments_known = 1;
 }
 
 void node_pull(const Path* p, const Node* n, double* gp, double* ga, double* out, double* gz) {
@@ -84,7 +88,6 @@ void node_pull(const Path* p, const Node* n, double* gp, double* ga, double* out
   for (int i = 0; i < 3; i++) out[3 + i] += turn[i];
   rotate_back(n->R, gp, np, p->local);
   field_transpose(b, b->points, p->local, np, gz);
-  if (!ga) return;
   sum_cross(n->area, ga, np, turn);
   for (int i = 0; i < 3; i++) out[3 + i] += turn[i];
   /* area vector A0 R (t1 x t2): d/dt1 = A0 t2 x R^T g, d/dt2 = A0 R^T g x t1 */

@@ -88,12 +88,12 @@ static int solve_substep(Solver* s, int first, const Pose* x0, const Pose* x1, d
   }
   Path* p = &s->path;
   p->u = s->input, p->h = h, p->origin = s->origin;
-  if (first) node_set(p, p->n0, x0, NODE_BEFORE);
+  if (first) node_set(p, p->n0, x0, AREAS);
   else {
     Node* free = p->n0;
     p->n0 = p->n1, p->n1 = p->n2, p->n2 = free;
   }
-  node_set(p, p->n1, x1, NODE_WHOLE);
+  node_set(p, p->n1, x1, TANGENT | DRAG_TANGENT | AREAS);
   path_prepare(p);
   dp_info found = {0, 0, 0, 1, 0};
   const int done = variational_solve(p, guess, &found);
@@ -288,50 +288,35 @@ static void pull_input(int r, const double* x, const Pose* last, double h, const
   }
 }
 
-/* Factors of a substep's matrix. */
-typedef struct {
-  double A[MAX_N * MAX_N];
-  int n, symmetric, pivot[MAX_N];
-} Factors;
-
-static void solve_transposed(const Factors* f, const double* rhs, double* x) {
-  if (f->symmetric) cholesky_solve(f->A, f->n, rhs, x);
-  else lu_solve_transposed(f->A, f->pivot, f->n, rhs, x);
-}
-
 /* Set the solver to the solved substep k of n, from its last backwards; 0 if its matrix is singular.
  * *left is how far the nodes are from the solution: the Newton step that is left. */
 static int linearise(Solver* s, const Pose* nodes, int k, int n, double h, Factors* f, double* left) {
   double step[MAX_N];
   const double *H, *g;
-  int sign;
-  f->n = s->n;
+  int symmetric = 0;
   if (s->euler) {
     work_begin(&s->work, s->origin, nodes + k, nodes + k + 1, s->input, h);
     euler_linearise(&s->work, nodes + k + 2);
-    H = s->work.H, g = s->work.g, f->symmetric = !terrain_parts(&s->work.terrain);
+    H = s->work.H, g = s->work.g, symmetric = !terrain_parts(&s->work.terrain);
   } else {
     Path* p = &s->path;
     p->u = s->input, p->h = h, p->origin = s->origin;
-    if (k == n - 1) node_set(p, p->n2, nodes + k + 2, NODE_WHOLE), node_set(p, p->n1, nodes + k + 1, NODE_WHOLE);
-    else {
+    if (k == n - 1) {
+      node_set(p, p->n2, nodes + k + 2, TANGENT | DRAG_TANGENT);
+      node_set(p, p->n1, nodes + k + 1, TANGENT | DRAG_TANGENT | AREAS);
+    } else {
       Node* free = p->n2;
       p->n2 = p->n1, p->n1 = p->n0, p->n0 = free;
     }
-    node_set(p, p->n0, nodes + k, NODE_WHOLE);
+    node_set(p, p->n0, nodes + k, k ? TANGENT | DRAG_TANGENT | AREAS : TANGENT | AREAS);
     path_prepare(p);
+    touch_missed(p);
     path_residual(p);
     variational_matrix(p);
-    H = p->H, g = p->g, f->symmetric = 0;
+    H = p->H, g = p->g;
   }
-  if (f->symmetric) {
-    if (!cholesky(H, s->n, f->A)) return 0;
-    cholesky_solve(f->A, s->n, g, step);
-  } else {
-    memcpy(f->A, H, sizeof(double) * s->n * s->n);
-    if (!lu(f->A, s->n, f->pivot, &sign)) return 0;
-    lu_solve(f->A, f->pivot, s->n, g, step);
-  }
+  if (!factorise(f, H, s->n, symmetric)) return 0;
+  solve(f, g, step);
   *left = 0;
   for (int i = 0; i < s->n; i++) *left = fabs(step[i]) <= *left ? *left : fabs(step[i]);
   if (!s->euler) variational_pull_prepare(&s->path);

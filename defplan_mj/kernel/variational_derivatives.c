@@ -9,65 +9,122 @@
  * and differentiate it by places, area vectors and w; gradients by zeta go on to q by dz. */
 #include "path.h"
 
-static int has_drag(const Path* p) { return p->body->np && p->par[DP_FLUID_DENSITY] != 0; }
-
-void variational_matrix(Path* p) {
+void inertia_matrix(const Path* p, const Node* nb, double* H) {
   const Body* b = p->body;
   const int r = b->r, kp = b->kp, n = 6 + r;
-  const double h = p->h, ih2 = 1 / (h * h), *par = p->par;
-  const Node *n1 = p->n1, *n2 = p->n2;
-  double *H = p->H, N[9], M[9], C[9], turn[3];
-  memset(H, 0, sizeof(double) * n * n);
-  if (has_drag(p)) {
-    interval_drag(p, n1, n2, p->area12, p->f12, p->D12);
-    drag_matrix(p, n2, H);
-  }
-  /* inertia; M = sum m y2 y1^T */
-  for (int i = 0; i < 9; i++) N[i] = inner(n1->P + i * kp, n2->zeta, kp);
-  to_world(n2->R, N, n1->R, M);
+  const double ih2 = 1 / (p->h * p->h), *par = p->par;
+  const double elastic = .25 * (1 + par[DP_CONTROL]) + par[DP_DAMPING] / (2 * p->h);
+  const Node* n1 = p->n1;
+  double N[9], M[9], C[9], turn[3], row[DP_MAX_BASIS + 2 * PAD];
+  /* M = sum m y_b y_1^T */
+  for (int i = 0; i < 9; i++) N[i] = inner(n1->P + i * kp, nb->zeta, kp);
+  to_world(nb->R, N, n1->R, M);
   const double trace = M[0] + M[4] + M[8];
   for (int i = 0; i < 3; i++) {
     H[i * n + i] += ih2 * b->mass;
     for (int j = 0; j < 3; j++) H[(3 + i) * n + 3 + j] += ih2 * ((i == j ? trace : 0) - M[3 * i + j]);
   }
   for (int i = 0; i < 3; i++)
-    for (int j = 0; j < 3; j++)
-      C[3 * i + j] = n1->R[i] * n2->R[j] + n1->R[3 + i] * n2->R[3 + j] + n1->R[6 + i] * n2->R[6 + j];
-  for (int c = 0; c < r; c++) {
-    for (int i = 0; i < 9; i++) N[i] = inner(n1->P + i * kp, n2->dz + c * kp, kp); /* (B dz2) y1^T */
-    to_world(n2->R, N, n1->R, M), vee(M, turn);
-    for (int i = 0; i < 3; i++) H[(3 + i) * n + 6 + c] += ih2 * turn[i];
-    for (int i = 0; i < 9; i++) N[i] = inner(n2->P + i * kp, n1->dz + c * kp, kp); /* (B dz1) y2^T */
-    to_world(n1->R, N, n2->R, M), vee(M, turn);
-    for (int i = 0; i < 3; i++) H[(6 + c) * n + 3 + i] += ih2 * turn[i];
-  }
-  double mass[DP_MAX_MODES * (DP_MAX_BASIS + 2 * PAD)]; /* r x kp: sum m (R1 B dz1)_c . (R2 Phi_b) */
-  memset(mass, 0, sizeof(double) * r * kp);
-  for (int bb = 1; bb <= b->k; bb++) {
-    double row[DP_MAX_BASIS + 2 * PAD] = {0}; /* <C, S_a,bb> */
-    for (int i = 0; i < 9; i++) {
-      const double *restrict S = b->moments + ((size_t)9 * bb + i) * kp;
-      for (int a = 0; a < kp; a++) row[a] += C[i] * S[a];
+    for (int j = 0; j < 3; j++) {
+      C[3 * i + j] = ih2 * (n1->R[i] * nb->R[j] + n1->R[3 + i] * nb->R[3 + j] + n1->R[6 + i] * nb->R[6 + j]);
     }
-    for (int c = 0; c < r; c++) mass[c * kp + bb] = inner(n1->dz + c * kp, row, kp);
-  }
   for (int c = 0; c < r; c++) {
-    for (int d = 0; d < r; d++) H[(6 + c) * n + 6 + d] += ih2 * inner(mass + c * kp, n2->dz + d * kp, kp);
-    H[(6 + c) * n + 6 + c] += b->stiffness[c] * (.25 * (1 + par[DP_CONTROL]) + par[DP_DAMPING] / (2 * h));
+    const double* Q = n1->Q + (size_t)9 * kp * c; /* ji: sum m Phi_a,j (B dz1)_i */
+    for (int i = 0; i < 9; i++) N[i] = inner(n1->P + i * kp, nb->dz + c * kp, kp); /* (B dz_b) y_1^T */
+    to_world(nb->R, N, n1->R, M), vee(M, turn);
+    for (int i = 0; i < 3; i++) H[(3 + i) * n + 6 + c] += ih2 * turn[i];
+    for (int i = 0; i < 9; i++) N[i] = inner(Q + (i % 3 * 3 + i / 3) * kp, nb->zeta, kp); /* (B dz1) y_b^T */
+    to_world(n1->R, N, nb->R, M), vee(M, turn);
+    for (int i = 0; i < 3; i++) H[(6 + c) * n + 3 + i] += ih2 * turn[i];
+    for (int a = 0; a < kp; a++) row[a] = 0;
+    for (int i = 0; i < 9; i++) {
+      const double factor = C[i % 3 * 3 + i / 3], *restrict Qi = Q + i * kp;
+      for (int a = 0; a < kp; a++) row[a] += factor * Qi[a];
+    }
+    products(row, 1, nb->dz, r, kp, H + (6 + c) * n + 6, n);
+    H[(6 + c) * n + 6 + c] += b->stiffness[c] * elastic;
   }
-  if (p->m) touch_matrix(p, 1, H);
 }
 
-/* The equations are known at node 2, with p->gz: what all of `variational_pull` share. */
+/* out (3 x n) = D v / 2 for the symmetric D of drag */
+static void apply_drag(const double* restrict D, const double* restrict v, int n, double* restrict out) {
+  for (int s = 0; s < n; s++) {
+    double x = v[s], y = v[n + s], z = v[2 * n + s];
+    out[s] = .5 * (D[s] * x + D[n + s] * y + D[2 * n + s] * z);
+    out[n + s] = .5 * (D[n + s] * x + D[3 * n + s] * y + D[4 * n + s] * z);
+    out[2 * n + s] = .5 * (D[2 * n + s] * x + D[4 * n + s] * y + D[5 * n + s] * z);
+  }
+}
+
+void drag_matrix(Path* p, const double* y, const double* Jq, double* H) {
+  const int r = p->body->r, np = p->body->np, n = 6 + r;
+  const Node* n1 = p->n1;
+  *p->spent += n * np * (20. + 3 * r);
+  double* restrict move = p->local;
+  for (int j = 0; j < n; j++) {
+    double* out = p->columns + (size_t)j * 3 * np;
+    if (j < 3)
+      for (int i = 0; i < 3; i++)
+        for (int s = 0; s < np; s++) move[i * np + s] = i == j;
+    else if (j < 6) { /* e_m x y */
+      const int m = j - 3, m1 = (m + 1) % 3, m2 = (m + 2) % 3;
+      for (int s = 0; s < np; s++)
+        move[m * np + s] = 0, move[m1 * np + s] = -y[m2 * np + s], move[m2 * np + s] = y[m1 * np + s];
+    }
+    apply_drag(p->D12, j < 6 ? p->local : Jq + (size_t)(j - 6) * 3 * np, np, out);
+    double turn[3];
+    sum_cross(n1->y, out, np, turn);
+    for (int i = 0; i < 3; i++) H[i * n + j] += sum(out + i * np, np), H[(3 + i) * n + j] += turn[i];
+  }
+  products(n1->Jq, r, p->columns, n, 3 * np, H + 6 * n, n);
+}
+
+void variational_matrix(Path* p) {
+  const int n = 6 + p->body->r;
+  memset(p->H, 0, sizeof(double) * n * n);
+  inertia_matrix(p, p->n2, p->H);
+  if (has_drag(p)) {
+    interval_drag(p, p->n1, p->n2, p->area12, p->f12, p->D12);
+    drag_matrix(p, p->n2->y, p->n2->Jq, p->H);
+  }
+  if (p->m) touch_matrix(p, 1, p->H);
+}
+
+/* gz -= field^T R_1^T f: what forces f (3 x n, world) on points of a field do to zeta_1 */
+static void force_on_zeta(Path* p, const double* field, const double* f, int n, double* gz) {
+  double local[3 * DP_MAX_POINTS];
+  rotate_back(p->n1->R, f, n, local);
+  for (int s = 0; s < 3 * n; s++) local[s] = -local[s];
+  field_transpose(p->body, field, local, n, gz);
+}
+
+/* The equations are known at node 2: what all of `variational_pull` share. */
 void variational_pull_prepare(Path* p) {
   const Body* b = p->body;
-  const int np = b->np, r = b->r;
-  double* gz = p->gz;
-  if (has_drag(p)) { /* path_residual left drag's force on zeta out: it has J_1 of the points */
+  const int np = b->np, r = b->r, kp = b->kp, nf = p->feet.np;
+  const double ih2 = 1 / (p->h * p->h);
+  double gz[DP_MAX_BASIS + 2 * PAD]; /* the equations' force on zeta_1 */
+  for (int a = 0; a < kp; a++) gz[a] = -2 * ih2 * (b->trace[a] + p->n1->zeta[a]);
+  for (int t = 0; t < 2; t++) {
+    Node* at = t ? p->n0 : p->n2;
+    node_moments(p, at);
+    for (int i = 0; i < 3; i++)
+      for (int j = 0; j < 3; j++) {
+        const double *R1 = p->n1->R + i, *R = at->R + j, *P = at->P + (3 * i + j) * kp;
+        const double C = ih2 * (R1[0] * R[0] + R1[3] * R[3] + R1[6] * R[6]);
+        for (int a = 0; a < kp; a++) gz[a] += C * P[a];
+      }
+  }
+  if (has_drag(p)) {
     double* f = p->pull_f;
-    for (int s = 0; s < 3 * np; s++) p->local[s] = -.5 * (p->f01[s] + p->f12[s]);
-    rotate_back(p->n1->R, p->local, np, f);
-    field_transpose(b, b->points, f, np, gz);
+    for (int s = 0; s < 3 * np; s++) f[s] = .5 * (p->f01[s] + p->f12[s]);
+    force_on_zeta(p, b->points, f, np, gz);
+  }
+  if (p->m) force_on_zeta(p, p->near_field, p->near_f, p->mp, gz);
+  if (p->feet.n) {
+    double f[3 * DP_MAX_FEET] = {0};
+    for (int i = 0; i < 3 * p->feet.n; i++) f[i % 3 * nf + i / 3] = p->u[r + i];
+    force_on_zeta(p, p->feet.field, f, nf, gz);
   }
   memset(p->curvature, 0, sizeof(double) * r * b->rp);
   kinematics_curvature(b, gz, p->n1->scratch, p->curvature);
@@ -102,7 +159,7 @@ static void drag_pull(const Path* p, const Node* from, const Node* to, const dou
 
 void variational_pull(Path* p, const double* lambda, double* a1, double* a0, double* au) {
   const Body* b = p->body;
-  const int r = b->r, kp = b->kp, np = b->np, nc = b->nc;
+  const int r = b->r, kp = b->kp, np = b->np;
   const double h = p->h, ih2 = 1 / (h * h), *par = p->par, *lc = lambda, *lt = lambda + 3, *lq = lambda + 6;
   const Node *n0 = p->n0, *n1 = p->n1, *n2 = p->n2;
   double along[DP_MAX_BASIS + 2 * PAD]; /* motion of zeta_1 */
@@ -119,8 +176,12 @@ void variational_pull(Path* p, const double* lambda, double* a1, double* a0, dou
   /* inertia by node 0: T_b = sum m w Phi_b^T (w world, Phi body axes) over h^2, without lambda_c */
   double T[9 * (DP_MAX_BASIS + 2 * PAD)];
   memset(T, 0, sizeof(double) * 9 * kp);
-  double* P = p->local_moments;
-  moments_apply(b, along, P);
+  double* restrict P = p->along_moments;
+  memset(P, 0, sizeof(double) * 9 * kp);
+  for (int c = 0; c < r; c++) {
+    const double* restrict Q = n1->Q + (size_t)9 * kp * c;
+    for (int a = 0; a < 9 * kp; a++) P[a] += lq[c] * Q[a];
+  }
   for (int i = 0; i < 3; i++)
     for (int j = 0; j < 3; j++) {
       double* restrict Tij = T + (3 * i + j) * kp;
@@ -218,9 +279,10 @@ void variational_pull(Path* p, const double* lambda, double* a1, double* a0, dou
   /* forces on single points: contact and feet */
   const int given = p->feet.n, nf = p->feet.np;
   for (int k = 0; k < p->m + given; k++) {
-    const int contact = k < p->m, s = contact ? p->which[k] : k - p->m, stride = contact ? nc : nf;
-    const double *field = contact ? b->contacts : p->feet.field, *places = contact ? n1->touch : p->feet_y;
-    const double* F = contact ? p->touch_f + 3 * k : p->u + r + 3 * s;
+    const int contact = k < p->m, s = contact ? p->which[k] : k - p->m, stride = contact ? p->mp : nf;
+    const double *field = contact ? p->near_field : p->feet.field, *places = contact ? p->near_y1 : p->feet_y;
+    double F[3];
+    for (int i = 0; i < 3; i++) F[i] = contact ? p->near_f[i * p->mp + s] : p->u[r + 3 * s + i];
     const double y[3] = {places[s], places[stride + s], places[2 * stride + s]};
     double local[3] = {0}, bend[3], w[3], x[3], pull[3] = {0}, back[3];
     for (int a = 1; a <= b->k; a++)

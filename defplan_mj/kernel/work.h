@@ -1,5 +1,5 @@
-/* The memory of one step and what the files of the step share: energy.c writes a step down, solve.c
- * solves it, derivatives.c differentiates it, measures.c measures a state. */
+/* What the files of both integrators share, and the memory of an implicit Euler step: euler_energy.c writes
+ * it down, euler_contact.c its contact, euler_solve.c solves it, euler_derivatives.c differentiates it. */
 #ifndef DEFPLAN_WORK_H
 #define DEFPLAN_WORK_H
 #include "internal.h"
@@ -158,7 +158,7 @@ void contact_positions(const Work* w, const Config* cfg, double* out);
  * has been mirrored. */
 double forces_evaluate(Work* w, double* N);
 void forces_hessian(Work* w);
-/* What they add to `mixed` in derivatives.c: for a motion along lambda (dz of zeta), the gradients over
+/* What they add to `mixed` in euler_derivatives.c: for a motion along lambda (dz of zeta), the gradients over
  * the last configuration (out: c and turn; gz: zeta) and over the given forces (gu, may be NULL). */
 void forces_mixed(Work* w, const double* lambda, const double* dz, double* out, double* gz, double* gu);
 
@@ -186,4 +186,12 @@ void lu_solve_transposed(const double* LU, const int* pivot, int n, const double
 /* L of A = L L^T (row-major, lower); 0 if A is not positive definite. */
 int cholesky(const double* A, int n, double* L);
 void cholesky_solve(const double* L, int n, const double* rhs, double* x);
+/* Factors of a matrix: symmetric and definite, or any; factorise returns 0 if it is singular. */
+typedef struct {
+  double A[MAX_N * MAX_N];
+  int n, symmetric, pivot[MAX_N];
+} Factors;
+int factorise(Factors* f, const double* A, int n, int symmetric);
+void solve(const Factors* f, const double* rhs, double* x);
+void solve_transposed(const Factors* f, const double* rhs, double* x);
 #endif
