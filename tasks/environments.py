@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ from dm_control.rl import control
 from dm_control.suite import base
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.space import Space
 from defplan_mj.body.model import Body
+from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.navigation import navigation_environment
 from defplan_mj.host.physics import Physics
@@ -20,16 +23,42 @@ from defplan_mj.task import Navigation, TaskSpec
 ASSETS = Path(__file__).parent / "assets"
 
 
+class ShapeTask(base.Task):
+    """A task whose action is the target shape, told for n robots at once from their states (n, 13 + 3r).
+
+    A vector environment asks for many robots, dm_control for one.
+
+    Attributes:
+        dynamics: what moves.
+        time_limit: of an episode, s.
+    """
+
+    dynamics: ReducedDynamics
+    time_limit: float
+
+    def draw(
+        self, random: np.random.RandomState, place: Space, modes: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Draw the target's position (3,), m, and the state (13 + 3r,) that an episode starts from."""
+        raise NotImplementedError
+
+    def observe(
+        self, states: np.ndarray, targets: np.ndarray, place: Space
+    ) -> collections.OrderedDict:
+        """Return arrays (n, size) by name, from states and targets (n, 3)."""
+        raise NotImplementedError
+
+    def rewards(self, states: np.ndarray, targets: np.ndarray, place: Space) -> np.ndarray:
+        """Return the rewards (n,) of robots that have come to these states."""
+        raise NotImplementedError
+
+
 def shape_environment(
-    spec: TaskSpec,
-    body: Body,
-    task: base.Task,
-    time_limit: float,
-    environment_kwargs: dict | None,
+    spec: TaskSpec, task: ShapeTask, environment_kwargs: dict | None
 ) -> control.Environment:
     """Return `task` as an environment whose action is the target shape, one a time step."""
     model = build_spec(
-        body,
+        task.dynamics.body,
         spec.timestep,
         space=spec.navigation.space,
         terrain=spec.terrain,
@@ -40,7 +69,7 @@ def shape_environment(
         Physics.from_mjmodel(compile_model(model)),
         task,
         control_timestep=spec.timestep,
-        time_limit=time_limit,
+        time_limit=task.time_limit,
         **(environment_kwargs or {}),
     )
 

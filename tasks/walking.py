@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from dm_control.rl import control
 
+from defplan_mj.base.rotations import level_attitude, product
+from defplan_mj.base.space import Space
 from defplan_mj.body.model import Body, Material
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.world import GROUND
-from defplan_mj.host.physics import Physics
-from defplan_mj.host.scene import TARGET
 from defplan_mj.task import BodyOptions, GaitTask, TaskSpec, Weights
 from defplan_tasks import environments, swimming
 
@@ -99,9 +98,10 @@ def walk_environment(
     environment_kwargs: dict | None = None,
 ) -> control.Environment:
     """Return the task `Walk`: the action is the target shape, in [-1, 1] of the body's amplitude."""
-    rest = ReducedDynamics(body, spec.timestep, spec.terrain, **spec.stepping).rest_state()
-    task = Walk(rest, random=random)
-    return environments.shape_environment(spec, body, task, time_limit, environment_kwargs)
+    dynamics = ReducedDynamics(body, spec.timestep, spec.terrain, **spec.stepping)
+    return environments.shape_environment(
+        spec, Walk(dynamics, time_limit, random), environment_kwargs
+    )
 
 
 class Walk(swimming.Swim):
@@ -109,27 +109,35 @@ class Walk(swimming.Swim):
 
     speed = _SPEED
 
-    def __init__(self, rest: np.ndarray, random: np.random.RandomState | int | None = None):
-        """Take the state (13 + 3r,) it stands in."""
-        super().__init__(random=random)
-        self._rest = rest
+    def __init__(
+        self,
+        dynamics: ReducedDynamics,
+        time_limit: float = 40.0,
+        random: np.random.RandomState | int | None = None,
+    ) -> None:
+        """Take what walks, on level ground at height 0; the rest as for `Swim`."""
+        super().__init__(dynamics, time_limit, random)
+        self._rest = dynamics.rest_state()
 
-    def initialize_episode(self, physics: Physics) -> None:
+    def draw(
+        self, random: np.random.RandomState, place: Space, modes: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Draw target, heading and a slightly bent shape; the robot stands on the ground."""
-        super().initialize_episode(physics)
-        r, rest = physics.n_modes, self._rest
-        physics.named.model.site_pos[TARGET, "z"] = rest[2]
-        yaw = self.random.uniform(-np.pi, np.pi)
-        heading = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
-        qpos = physics.data.qpos
-        bend = qpos[7 : 7 + r].copy()
-        qpos[:7], qpos[7 : 7 + r] = rest[:7], rest[7 : 7 + r]
-        sole = physics.surface()[:, 2].min()
-        mujoco.mju_mulQuat(qpos[3:7], heading, rest[3:7].copy())
-        qpos[7 : 7 + r] += bend
-        qpos[2] += sole - physics.surface()[:, 2].min()  # on the ground, bent as it is
+        target, state = super().draw(random, place, modes)
+        bend = state[7 : 7 + modes].copy()
+        state[: 7 + modes] = self._rest[: 7 + modes]
+        target[2] = state[2]
+        sole = self._sole(state)
+        yaw = random.uniform(-np.pi, np.pi)
+        state[3:7] = product(level_attitude(yaw), state[3:7])
+        state[7 : 7 + modes] += bend
+        state[2] += sole - self._sole(state)  # on the ground, bent as it is
+        return target, state
 
-    def get_reward(self, physics: Physics) -> float:
-        """Return in [0, 1]: as for a swimmer in the plane, times how high it stands."""
-        standing = np.clip(physics.height() / (_STANDING * self._rest[2]), 0.0, 1.0)
-        return float(standing * super().get_reward(physics))
+    def rewards(self, states: np.ndarray, targets: np.ndarray, place: Space) -> np.ndarray:
+        """Return (n,) in [0, 1]: as for a swimmer in the plane, times how high it stands."""
+        standing = np.clip(states[:, 2] / (_STANDING * self._rest[2]), 0.0, 1.0)
+        return standing * super().rewards(states, targets, place)
+
+    def _sole(self, state: np.ndarray) -> float:
+        return float(self.dynamics.surface(state)[:, 2].min())

@@ -97,6 +97,10 @@ DP_API int dp_step_near(const dp_model* m, const double* x, const double* u, con
  * after x0 are finite. */
 DP_API int dp_rollout(const dp_model* m, int N, const double* u, double* xs,
                       long* iterations);
+/* A step of each of n robots: x and x_next (n x nx), u (n x nu), failed (n) as dp_step returns. Returns how
+ * many failed. */
+DP_API int dp_step_many(const dp_model* m, int n, const double* x, const double* u, double* x_next, int nu,
+                        int* failed);
 /* Jacobians of x_next, row-major: A (nx x nx), B (nx x nu), at a solved step. Returns 0,
  * or 1 (singular, not a solved step, or not finite): A and B are then of no use. The adjoints likewise. */
 DP_API int dp_step_jac(const dp_model* m, const double* x, const double* u,

@@ -106,6 +106,7 @@ def kernel() -> ctypes.CDLL:
         "dp_check_feet": (c_int, [a, a, c_size_t]),
         "dp_step": (c_int, [m, a, a, a, p(Info)]),
         "dp_step_near": (c_int, [m, a, a, a, a, p(Info)]),
+        "dp_step_many": (c_int, [m, c_int, c_void_p, c_void_p, c_void_p, c_int, c_void_p]),
         "dp_rollout": (c_int, [m, c_int, a, a, p(c_long)]),
         "dp_step_jac": (c_int, [m, a, a, a, a, a]),
         "dp_step_adj": (c_int, [m, a, a, a, a, a, a]),

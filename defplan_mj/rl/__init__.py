@@ -1,0 +1,1 @@
+"""The suite's tasks as Gymnasium environments: `gymnasium.make("defplan/FishSwim-v0")`."""
