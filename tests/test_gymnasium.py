@@ -116,7 +116,7 @@ def test_a_pickled_environment_goes_on_as_it_was():
     env = gymnasium.make("defplan/FishNavigate-v0").unwrapped
     env.reset(seed=4)
     env.step(np.int64(1))
-    again = pickle.loads(pickle.dumps(env))  # noqa: S301  ours
+    again = pickle.loads(pickle.dumps(env))
     assert np.array_equal(again.step(0)[0], env.step(0)[0])
     env.close()
 
