@@ -21,6 +21,7 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import PARTIAL_SUFFIX
 from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.report.content import Missing
 from defplan_mj.task import TaskSpec
 
 _T = TypeVar("_T")
@@ -168,6 +169,15 @@ def gather(folder: str | Path) -> Material:
         if log is not None:
             material.logs.append(log)
     return material
+
+
+def missing(material: Material, *names: str) -> Missing:
+    """Return the sentence on files that a section needs and does not have."""
+    for name in names:
+        if name in material.faults:
+            return Missing(f"{material.faults[name]}.")
+    what = " and ".join(names)
+    return Missing(f"Not made yet ({what}): defplan run {material.task} makes it.")
 
 
 def _training(path: Path) -> tuple[dict[str, np.ndarray], bool]:

@@ -12,8 +12,8 @@ from defplan_mj.base.space import SPACES
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait, dmp
 from defplan_mj.log.plotting import FAINT, INK, PATH, SERIES, new_figure, styled, view
-from defplan_mj.report.drawing import draw_surface, silhouette
-from defplan_mj.report.views import PICTURES, View
+from defplan_mj.report.figures.drawing import draw_surface, silhouette
+from defplan_mj.report.figures.views import PICTURES, View
 
 _SHADOW = "#9cc6cd"
 
