@@ -6,15 +6,19 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.base.space import SPACES, Space
+from defplan_mj.base.space import PLANE, SPACES, Space
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.dynamics.world import World
+
+if TYPE_CHECKING:
+    from defplan_mj.body.model import Body
+    from defplan_mj.dynamics.reduced import ReducedDynamics
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ class Navigation:
     novel_obstacles: int = 10
     beams: int = 64
     laser_range: float = 10.0
-    space: str = "planar"
+    space: str = PLANE.name
     sensor: str = ""
 
     def __post_init__(self) -> None:
@@ -191,6 +195,12 @@ class TaskSpec:
     def world(self) -> World:
         """What surrounds the robot."""
         return World(self.body.medium, self.terrain)
+
+    def dynamics(self, body: Body) -> ReducedDynamics:
+        """Return the reduced dynamics of `body` in this task's world, at its time step."""
+        from defplan_mj.dynamics.reduced import ReducedDynamics  # a task is read without the kernel
+
+        return ReducedDynamics(body, self.timestep, self.world.terrain, **self.stepping)
 
     def texture(self) -> np.ndarray | None:
         """Return the picture of the skin, or None."""

@@ -190,16 +190,16 @@ def robustness(arguments: argparse.Namespace, console: Console) -> int:
 def check(arguments: argparse.Namespace, console: Console) -> int:
     """Play a task's gaits with finer steps and through the full FEM, and say what changes."""
     from defplan_mj import registry
-    from defplan_mj.studies.check import check_gaits, of_run, shipped
+    from defplan_mj.studies.check import check_gaits, packaged_robot, robot_of_run
 
     spec = registry.get_task(arguments.task)
-    body, gait = shipped(spec) if arguments.run is None else of_run(arguments.run)
+    folder = arguments.run
+    robot = packaged_robot(spec) if folder is None else robot_of_run(spec, folder)
     with console.progress() as progress:
-        data = check_gaits(
-            spec, body, gait, arguments.full, arguments.cycles, arguments.seed, progress
-        )
-        if arguments.run is not None:
-            _keep_check(arguments.run, {**data, "gait": gait.hash}, progress)
+        options = arguments.full, arguments.cycles, arguments.seed
+        data = check_gaits(spec, robot, *options, progress)
+        if folder is not None:
+            _keep_check(folder, {**data, "gait": robot.gait.hash}, progress)
     console.result(data, check_text(data))
     return 0
 

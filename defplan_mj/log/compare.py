@@ -75,7 +75,7 @@ class LoggedEpisode:
     collisions: int
     truth: np.ndarray
     chained: np.ndarray
-    space: str = "planar"
+    space: str = PLANE.name
 
     @property
     def drift(self) -> float:
@@ -122,7 +122,7 @@ class Comparison:
     predicted: np.ndarray
     truth: np.ndarray
     turning: np.ndarray
-    space: str = "planar"
+    space: str = PLANE.name
 
     @property
     def turning_name(self) -> str:

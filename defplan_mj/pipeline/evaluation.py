@@ -8,7 +8,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from defplan_mj.dynamics.terrain import terrain_json
 from defplan_mj.pipeline.provenance import plugin_data
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import write_json
@@ -27,14 +26,13 @@ _LOGS = ("k2-[0-9]*.mcap", "novel-[0-9]*.mcap")
 def _inputs(run: Run, **options: Any) -> dict[str, Any]:
     """Return what every evaluation depends on, besides files."""
     plan = run.plan
-    terrain = plan.spec.terrain
     chosen = {"planner": plan.planner.name, "feedback": plan.feedback.name}
     return {
         "options": {**chosen, "seed": plan.options.seed, **options},
         "plugins": {"planner": plugin_data(plan.planner), "feedback": plugin_data(plan.feedback)},
         "task": {
             "navigation": dataclasses.asdict(plan.spec.navigation),
-            "terrain": None if terrain is None else terrain_json(terrain),
+            "terrain": plan.spec.world.terrain_data,
         },
     }
 

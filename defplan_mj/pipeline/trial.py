@@ -54,7 +54,7 @@ def robot(run: Run) -> Robot:
     from defplan_mj.planning.robot import Robot
 
     plan = run.plan
-    return Robot(run.result("body"), run.result("gait"), plan.spec.terrain, plan.feedback)
+    return Robot(run.result("body"), run.result("gait"), plan.spec.world, plan.feedback)
 
 
 def evaluate(
@@ -86,7 +86,7 @@ def evaluate(
 
     who, surrogate, navigation = robot(run), run.result("surrogate"), run.plan.spec.navigation
     if log is not None:
-        parts = RunFiles.of(who.body, who.gait, surrogate, policy_file(run), who.world)
+        parts = RunFiles.of_robot(who, surrogate, policy_file(run))
         log = dataclasses.replace(log, parts=parts)
     progress = run.progress_of("evaluation")
     message = f"{scenes}, {'with' if shield else 'without'} shield"
