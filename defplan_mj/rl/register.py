@@ -6,6 +6,7 @@ import warnings
 from importlib.metadata import entry_points
 
 NAMESPACE = "defplan"
+ENTRY_POINT = "defplan_mj.rl.single:SuiteEnv"
 GROUP = "defplan_mj.gymnasium"
 """Entry points: functions without arguments that register what a package brings."""
 
@@ -17,6 +18,14 @@ def register_all() -> None:
             point.load()()
         except Exception as error:
             warnings.warn(f"{GROUP}, {point.name}: {error}", stacklevel=2)
+
+
+def registered() -> dict[tuple[str, str], str]:
+    """Return the ids that Gymnasium knows the suite's tasks by, by domain and task."""
+    from gymnasium.envs.registration import registry
+
+    ours = [spec for spec in registry.values() if spec.entry_point == ENTRY_POINT]
+    return {(spec.kwargs["domain"], spec.kwargs["task"]): spec.id for spec in ours}
 
 
 def register_task(domain: str, task: str, many: bool, version: int = 0) -> str:
@@ -34,7 +43,7 @@ def register_task(domain: str, task: str, many: bool, version: int = 0) -> str:
     if name not in registry:
         register(
             name,
-            entry_point="defplan_mj.rl.single:SuiteEnv",
+            entry_point=ENTRY_POINT,
             vector_entry_point="defplan_mj.rl.many:KernelVectorEnv" if many else None,
             kwargs={"domain": domain, "task": task},
         )
