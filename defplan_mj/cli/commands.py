@@ -196,7 +196,14 @@ def check(arguments: argparse.Namespace, console: Console) -> int:
     body, gait = shipped(spec) if arguments.run is None else of_run(arguments.run)
     with console.progress() as progress:
         data = check_gaits(
-            spec, body, gait, arguments.full, arguments.cycles, arguments.seed, progress
+            spec,
+            body,
+            gait,
+            arguments.full,
+            arguments.cycles,
+            arguments.seed,
+            progress,
+            arguments.bodies,
         )
         if arguments.run is not None:
             _keep_check(arguments.run, {**data, "gait": gait.hash}, progress)
