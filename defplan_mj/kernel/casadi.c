@@ -12,7 +12,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "work.h"
+#include "parts.h"
 
 typedef long long Int; /* casadi_int */
 enum { N_SLOTS = 64, N_KEY = 65, N_SIZES = 64 };

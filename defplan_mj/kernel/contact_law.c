@@ -5,7 +5,7 @@
  * approach (after Hunt and Crossley, 1975), so that an impact loses the same energy whatever the time
  * step. psi is max(0, 1 + x) rounded, so that nothing sticks. Friction: Coulomb's, rounded,
  * mu |f_n| v / sqrt(|v|^2 + e^2) against the tangential velocity v = (I - n n^T) dp/dt. */
-#include "work.h"
+#include "terrain.h"
 
 static const double ROUNDING = .1; /* of psi at x = -1 */
 

@@ -1,5 +1,5 @@
-/* Signed distances of points to simple solids with two derivatives, and the smallest one of a surface. */
-#include "internal.h"
+/* Signed distances of points to simple solids with two derivatives. */
+#include "terrain.h"
 
 /* Nearest point on an ellipsoid with semi-axes a, first octant: bisection on the Lagrange
  * multiplier, sum (a_i p_i / (t + a_i^2))^2 = 1 (Eberly, Distance from a Point to an Ellipsoid). */
@@ -145,33 +145,4 @@ double geom_gap(const dp_geom* g, const double p[3], double* normal, double* hes
 
 double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]) {
   return geom_gap(g, p, normal, NULL);
-}
-
-double dp_clearance(const double* blob, const double* qpos, int n_geom, const dp_geom* geoms, double cutoff,
-                    int* geom, int* point) {
-  Body b;
-  double best = cutoff;
-  if (geom) *geom = -1;
-  if (point) *point = -1;
-  if (body_view_own(&b, blob)) return best;
-  if (!is_finite(qpos, 7 + b.r)) return NAN;
-  /* the surface stays within 1.5 times its largest rest distance from the centre of mass */
-  const double reach = 1.5 * b.radius;
-  int near = 0;
-  for (int i = 0; i < n_geom && !near; i++) near = dp_geom_distance(geoms + i, qpos, NULL) < reach + cutoff;
-  if (!near) return best;
-  double points[3 * (b.n_surface > 0 ? b.n_surface : 1)];
-  dp_surface(blob, qpos, points);
-  for (int i = 0; i < n_geom; i++) {
-    if (!(dp_geom_distance(geoms + i, qpos, NULL) < reach + best)) continue;
-    for (int s = 0; s < b.n_surface; s++) {
-      double d = dp_geom_distance(geoms + i, points + 3 * s, NULL);
-      if (d < best) {
-        best = d;
-        if (geom) *geom = i;
-        if (point) *point = s;
-      }
-    }
-  }
-  return best;
 }

@@ -1,8 +1,6 @@
 /* Measures of a state: energies, momenta, surface, contact, feet. */
-#include "work.h"
-
-/* The first address of 64 bytes in memory that has PAD doubles to spare. */
-static double* aligned(double* memory) { return (double*)(((size_t)memory + 63) / 64 * 64); }
+#include "kinematics.h"
+#include "state.h"
 
 void dp_energy(const dp_model* m, const double* x, double out[9]) {
   Parts p;
@@ -68,6 +66,35 @@ void dp_surface(const double* blob, const double* qpos, double* points) {
         points[3 * (from + s) + i] =
             qpos[i] + R[3 * i] * y[s] + R[3 * i + 1] * y[64 + s] + R[3 * i + 2] * y[128 + s];
   }
+}
+
+double dp_clearance(const double* blob, const double* qpos, int n_geom, const dp_geom* geoms, double cutoff,
+                    int* geom, int* point) {
+  Body b;
+  double best = cutoff;
+  if (geom) *geom = -1;
+  if (point) *point = -1;
+  if (body_view_own(&b, blob)) return best;
+  if (!is_finite(qpos, 7 + b.r)) return NAN;
+  /* the surface stays within 1.5 times its largest rest distance from the centre of mass */
+  const double reach = 1.5 * b.radius;
+  int near = 0;
+  for (int i = 0; i < n_geom && !near; i++) near = dp_geom_distance(geoms + i, qpos, NULL) < reach + cutoff;
+  if (!near) return best;
+  double points[3 * (b.n_surface > 0 ? b.n_surface : 1)];
+  dp_surface(blob, qpos, points);
+  for (int i = 0; i < n_geom; i++) {
+    if (!(dp_geom_distance(geoms + i, qpos, NULL) < reach + best)) continue;
+    for (int s = 0; s < b.n_surface; s++) {
+      double d = dp_geom_distance(geoms + i, points + 3 * s, NULL);
+      if (d < best) {
+        best = d;
+        if (geom) *geom = i;
+        if (point) *point = s;
+      }
+    }
+  }
+  return best;
 }
 
 /* World places of the contact points in a configuration, 3 x nc. */

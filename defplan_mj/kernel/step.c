@@ -5,40 +5,13 @@
  * that a saved state replays to the bit. A substep without a solution is divided: the whole step is done
  * again with twice as many. */
 
+#include "euler.h"
 #include "path.h"
 
 /* --- states and nodes */
 
 static double substep(const Parts* p, int division) {
   return p->model->par[DP_TIMESTEP] / (p->substeps * division);
-}
-
-void state_nodes(int r, const double* x, double h, Pose* last, Pose* before) {
-  const double *v = x + 7 + r, *omega = v + 3, *qdot = v + 6;
-  double turn[3], back[4];
-  memcpy(last->quat, x + 3, sizeof last->quat);
-  quat_normalize(last->quat);
-  for (int i = 0; i < 3; i++) last->c[i] = 0, before->c[i] = -h * v[i], turn[i] = -h * omega[i];
-  quat_exp(turn, back);
-  quat_mul(last->quat, back, before->quat);
-  memset(last->q, 0, sizeof last->q), memset(before->q, 0, sizeof before->q);
-  for (int c = 0; c < r; c++) last->q[c] = x[7 + c], before->q[c] = x[7 + c] - h * qdot[c];
-}
-
-/* The state of nodes whose places are told from `origin`. */
-static void pack(int r, const double* origin, const Pose* last, const Pose* before, const double* u, double h,
-                 double* x) {
-  const double ih = 1 / h, back[4] = {before->quat[0], -before->quat[1], -before->quat[2], -before->quat[3]};
-  double turn[4], omega[3], *v = x + 7 + r;
-  quat_mul(back, last->quat, turn);
-  quat_log(turn, omega);
-  for (int i = 0; i < 3; i++) {
-    x[i] = origin[i] + last->c[i];
-    v[i] = (last->c[i] - before->c[i]) * ih, v[3 + i] = omega[i] * ih;
-  }
-  memcpy(x + 3, last->quat, sizeof last->quat);
-  for (int c = 0; c < r; c++) x[7 + c] = last->q[c], v[6 + c] = (last->q[c] - before->q[c]) * ih;
-  memcpy(x + 13 + 2 * r, u, sizeof(double) * r);
 }
 
 /* --- one substep, by either integrator */
@@ -59,14 +32,12 @@ typedef struct {
 static size_t solver_lay(Solver* s, const Parts* parts, double* memory) {
   s->parts = parts, s->euler = parts->euler, s->n = 6 + parts->body.r;
   s->spent = 0, s->work.spent = s->path.spent = &s->spent;
-  if (!parts->euler) return path_lay(&s->path, parts, memory);
-  if (memory) work_init(&s->work, memory, &parts->body, parts->model, &parts->terrain, &parts->feet);
-  return work_size(&parts->body, &parts->terrain, &parts->feet);
+  return s->euler ? work_lay(&s->work, parts, memory) : path_lay(&s->path, parts, memory);
 }
 #define SOLVER(s, parts)                                                 \
   Solver s;                                                              \
   double memory_of_##s[solver_lay(&s, parts, NULL) + PAD];               \
-  solver_lay(&s, parts, (double*)(((size_t)memory_of_##s + 63) / 64 * 64))
+  solver_lay(&s, parts, aligned(memory_of_##s))
 
 /* Share of the new target in that of substep k of n: at its node 1, or for implicit Euler at its end. */
 static double share_of(const Parts* p, int k, int n) { return (double)(p->euler ? k + 1 : k) / n; }
@@ -191,12 +162,12 @@ static int step(const Parts* p, const double* x, const double* u, const double* 
     int division = solve_nodes(&s, x, u, near, 1, 4, few, info);
     if (division) {
       const Pose* end = few + p->substeps * division + 1;
-      pack(r, x, end, end - 1, u, substep(p, division), x_next);
+      state_pack(r, x, end, end - 1, u, substep(p, division), x_next);
     } else {
       Pose nodes[p->substeps * DP_MAX_DIVISION + 2];
       division = solve_nodes(&s, x, u, NULL, 8, DP_MAX_DIVISION, nodes, info);
       const Pose* end = nodes + p->substeps * division + 1;
-      if (division) pack(r, x, end, end - 1, u, substep(p, division), x_next);
+      if (division) state_pack(r, x, end, end - 1, u, substep(p, division), x_next);
     }
     info->failed = !division || !is_finite(x_next, 13 + 3 * r);
   }
@@ -204,7 +175,6 @@ static int step(const Parts* p, const double* x, const double* u, const double* 
   return info->failed;
 }
 
-int dp_state_size(const double* blob) { return 13 + 3 * (int)blob[3]; }
 
 int dp_step(const dp_model* m, const double* x, const double* u, double* x_next, dp_info* info) {
   return dp_step_near(m, x, u, NULL, x_next, info);
@@ -240,53 +210,6 @@ int dp_rollout(const dp_model* m, int N, const double* u, double* xs, long* iter
 }
 
 /* --- derivatives */
-
-/* Gradients of a step's result by its nodes: g_next over x_next -> over the last node and the one before
- * (6 + r each, tangent), and over the target. */
-static void pull_output(int r, const Pose* last, const Pose* before, double h, const double* g_next,
-                        double* g_last, double* g_before, double* gu) {
-  const double ih = 1 / h, *gq = g_next + 3, *gv = g_next + 7 + r, *qn = last->quat;
-  const double back[4] = {before->quat[0], -before->quat[1], -before->quat[2], -before->quat[3]};
-  double J[9], R[9], turn[3], t[3], omega[3], cr[3], quat[4];
-  quat_mul(back, last->quat, quat);
-  quat_log(quat, omega);
-  quat_matrix(before->quat, R);
-  cross3(qn + 1, gq + 1, cr);
-  so3_left_jacobian(omega, 1, J);
-  mul_mtv(J, gv + 3, t);
-  mul_mv(R, t, turn);
-  for (int i = 0; i < 3; i++) {
-    g_last[i] = g_next[i] + gv[i] * ih, g_before[i] = -gv[i] * ih;
-    const double g_turn = ih * turn[i];
-    g_last[3 + i] = .5 * (-gq[0] * qn[1 + i] + qn[0] * gq[1 + i] + cr[i]) + g_turn, g_before[3 + i] = -g_turn;
-  }
-  for (int c = 0; c < r; c++) {
-    g_last[6 + c] = g_next[7 + c] + gv[6 + c] * ih, g_before[6 + c] = -gv[6 + c] * ih;
-    gu[c] = g_next[13 + 2 * r + c];
-  }
-}
-
-/* Gradients over the last two nodes (tangent) -> gradient over the state x; its target's part is left. */
-static void pull_input(int r, const double* x, const Pose* last, double h, const double* g1, const double* g0,
-                       double* gx) {
-  const double* omega = x + 7 + r + 3;
-  double* gv = gx + 7 + r;
-  double back[3] = {-h * omega[0], -h * omega[1], -h * omega[2]}, J[9], R[9], local[3], g[3], t[3];
-  for (int i = 0; i < 3; i++) gx[i] = g1[i] + g0[i], gv[i] = -h * g0[i], g[i] = g1[3 + i] + g0[3 + i];
-  so3_left_jacobian(back, 0, J);
-  quat_matrix(last->quat, R);
-  mul_mtv(R, g0 + 3, local);
-  mul_mtv(J, local, t);
-  for (int i = 0; i < 3; i++) gv[3 + i] = -h * t[i];
-  const double* q = x + 3; /* as given, not normalised */
-  double norm2 = q[0] * q[0] + dot3(q + 1, q + 1), cr[3];
-  cross3(q + 1, g, cr);
-  gx[3] = -2 * dot3(g, q + 1) / norm2;
-  for (int i = 0; i < 3; i++) gx[4 + i] = 2 * (q[0] * g[i] - cr[i]) / norm2;
-  for (int c = 0; c < r; c++) {
-    gx[7 + c] = g1[6 + c] + g0[6 + c], gv[6 + c] = -h * g0[6 + c];
-  }
-}
 
 /* Set the solver to the solved substep k of n, from its last backwards; 0 if its matrix is singular.
  * *left is how far the nodes are from the solution: the Newton step that is left. */
@@ -394,7 +317,7 @@ static void adjoint_begin(Solver* s, const Pose* nodes, int n, double h, void* d
   a->h = h, a->last = nodes[1];
   memset(a->gu, 0, sizeof(double) * s->parts->nu);
   memset(a->gx + 13 + 2 * r, 0, sizeof(double) * r);
-  pull_output(r, nodes + n + 1, nodes + n, h, a->g_next, a->later, a->earlier, a->gu);
+  state_pack_pull(r, nodes + n + 1, nodes + n, h, a->g_next, a->later, a->earlier, a->gu);
 }
 
 static void adjoint_substep(Solver* s, const Factors* f, int k, int n, void* data) {
@@ -416,7 +339,7 @@ static int adjoint(Solver* s, const double* x, const double* u, const double* x_
   Adjoint a = {.x = x, .g_next = g_next, .gx = gx, .gu = gu};
   int done = is_finite(g_next, nx) && !backward(s, x, u, x_next, adjoint_begin, adjoint_substep, &a);
   if (done) {
-    pull_input(r, x, &a.last, a.h, a.later, a.earlier, gx);
+    state_nodes_pull(r, x, &a.last, a.h, a.later, a.earlier, gx);
     done = is_finite(gx, nx) && is_finite(gu, nu);
   }
   if (!done) memset(gx, 0, sizeof(double) * nx), memset(gu, 0, sizeof(double) * nu);
@@ -463,7 +386,7 @@ static void jacobian_begin(Solver* s, const Pose* nodes, int n, double h, void* 
   for (int o = 0; o < j->nx; o++) {
     double seed[MAX_STATE] = {0};
     seed[o] = 1;
-    pull_output(r, nodes + n + 1, nodes + n, h, seed, j->later[o], j->earlier[o], j->B + (size_t)o * nu);
+    state_pack_pull(r, nodes + n + 1, nodes + n, h, seed, j->later[o], j->earlier[o], j->B + (size_t)o * nu);
   }
 }
 
@@ -499,6 +422,6 @@ int dp_step_jac(const dp_model* m, const double* x, const double* u, const doubl
   SOLVER(s, &p);
   Jacobian j = {.x = x, .A = A, .B = B, .nx = nx};
   if (backward(&s, x, u, x_next, jacobian_begin, jacobian_substep, &j)) return 1;
-  for (int o = 0; o < nx; o++) pull_input(r, x, &j.last, j.h, j.later[o], j.earlier[o], A + (size_t)o * nx);
+  for (int o = 0; o < nx; o++) state_nodes_pull(r, x, &j.last, j.h, j.later[o], j.earlier[o], A + (size_t)o * nx);
   return !is_finite(A, (size_t)nx * nx) || !is_finite(B, (size_t)nx * p.nu);
 }

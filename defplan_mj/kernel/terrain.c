@@ -1,5 +1,5 @@
 /* The terrain: geoms and a heightfield, as smooth gaps with two derivatives. */
-#include "internal.h"
+#include "terrain.h"
 
 enum { TERRAIN_HEADER = 16, PER_GEOM = TERRAIN_GEOM };
 static const int SIZES[] = {0, 0, 1, 2, 3, 2, 3}; /* numbers in the size of a geom, by its type */

@@ -80,7 +80,7 @@ static void gather(Path* p, const char* marked) {
   p->n_near = 0;
   for (int s = 0; s < b->n_contacts; s++)
     if (marked[s]) p->near[p->n_near++] = s;
-  const int n = p->n_near, mp = p->mp = (n + PAD - 1) / PAD * PAD;
+  const int n = p->n_near, mp = p->mp = padded(n);
   for (int a = 0; a <= b->k; a++)
     for (int i = 0; i < 3; i++) {
       const double* from = b->contacts + (3 * (size_t)a + i) * nc;
@@ -164,16 +164,6 @@ void touch_forces(Path* p) {
   for (int k = 0; k < 9 * p->m; k++) p->touch_D[k] += ih * p->touch_F[k];
 }
 
-/* J (3 x ROW) of a point at y from the centre, both columns `stride` apart. */
-static void point_jacobian(const double* y, const double* Jq, int r, int stride, double J[3][ROW]) {
-  memset(J, 0, 3 * ROW * sizeof(double));
-  for (int i = 0; i < 3; i++) {
-    J[i][i] = 1;
-    J[i][3 + (i + 1) % 3] = y[(i + 2) % 3 * stride], J[i][3 + (i + 2) % 3] = -y[(i + 1) % 3 * stride]; /* t x y */
-    for (int c = 0; c < r; c++) J[i][6 + c] = Jq[(3 * c + i) * stride];
-  }
-}
-
 void touch_matrix(Path* p, int exact, double* H) {
   const int r = p->body->r, n = 6 + r, mp = p->mp;
   double sums[MAX_N * ROW] = {0}, local[DP_MAX_MODES * 3 * DP_MAX_CONTACTS];
@@ -185,19 +175,11 @@ void touch_matrix(Path* p, int exact, double* H) {
   }
   for (int k = 0; k < p->m; k++) {
     const int s = p->which[k];
-    double J[3][ROW], J2[3][ROW], DJ[3][ROW];
-    const double* D = p->touch_D + 9 * k;
+    double J[3][ROW], J2[3][ROW];
     point_jacobian(p->near_y1 + s, p->near_Jq + s, r, mp, J);
     if (exact) point_jacobian(p->near_y2 + s, later + s, r, mp, J2);
     else memcpy(J2, J, sizeof J);
-    for (int i = 0; i < 3; i++)
-      for (int j = 0; j < ROW; j++)
-        DJ[i][j] = D[3 * i] * J2[0][j] + D[3 * i + 1] * J2[1][j] + D[3 * i + 2] * J2[2][j];
-    for (int a = 0; a < n; a++) {
-      const double x = J[0][a], y = J[1][a], z = J[2][a];
-      double* restrict row = sums + a * ROW;
-      for (int j = 0; j < ROW; j++) row[j] += x * DJ[0][j] + y * DJ[1][j] + z * DJ[2][j];
-    }
+    point_product(J, p->touch_D + 9 * k, J2, n, sums);
   }
   for (int a = 0; a < n; a++)
     for (int j = 0; j < n; j++) H[a * n + j] += sums[a * ROW + j];

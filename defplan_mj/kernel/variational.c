@@ -13,22 +13,16 @@
  * it changes. Where that fails: the exact matrix at every iterate. */
 #include "path.h"
 
-static const double MAX_TURN = .7; /* rad or units of q in one iteration */
 enum { QUASI_NEWTON = 30, HALVINGS = 6 };
-
-/* C = Ra^T Rb */
-static void relative(const double* Ra, const double* Rb, double* C) {
-  for (int i = 0; i < 3; i++)
-    for (int j = 0; j < 3; j++) C[3 * i + j] = Ra[i] * Rb[j] + Ra[3 + i] * Rb[3 + j] + Ra[6 + i] * Rb[6 + j];
-}
 
 /* g += factor J_1^T M y_b, its turn and modal parts. */
 static void inertia(const Path* p, const Node* b, double factor, double* g) {
   const int kp = p->body->kp;
   const Node* n1 = p->n1;
   double C[9], N[9], M[9], turn[3];
-  relative(n1->R, b->R, C);
-  for (int i = 0; i < 9; i++) N[i] = inner(n1->P + i * kp, b->zeta, kp), C[i] *= factor;
+  mul_mtm(n1->R, b->R, C);
+  moments_pair(n1->P, b->zeta, kp, N);
+  for (int i = 0; i < 9; i++) C[i] *= factor;
   to_world(b->R, N, n1->R, M); /* sum m y_b y_1^T: sum y_1 x y_b is its vee */
   vee(M, turn);
   for (int i = 0; i < 3; i++) g[3 + i] += factor * turn[i];
@@ -88,7 +82,7 @@ void path_prepare(Path* p) {
   /* righting: torque D (R e_z) x e_z */
   const double D = b->mass * STANDARD_GRAVITY * par[DP_RIGHTING];
   g[3] -= D * n1->R[5], g[4] += D * n1->R[2];
-  if (has_drag(p)) {
+  if (has_drag(p->body, p->par)) {
     for (int s = 0; s < 3 * np; s++) {
       p->mean01[s] = .5 * (n0->area[s] + n1->area[s]);
       p->area12[s] = 1.5 * n1->area[s] - .5 * n0->area[s];
@@ -110,9 +104,9 @@ void path_residual(Path* p) {
   inertia(p, n2, ih2, g);
   for (int i = 0; i < 3; i++) g[i] += ih2 * b->mass * n2->at.c[i];
   for (int c = 0; c < r; c++) g[6 + c] += b->stiffness[c] * elastic * n2->at.q[c];
-  if (has_drag(p)) {
+  if (has_drag(p->body, p->par)) {
     interval_drag(p, n1, n2, p->area12, p->f12, NULL);
-    double* restrict f = p->local;
+    double* restrict f = p->mean_f;
     for (int s = 0; s < 3 * np; s++) f[s] = .5 * (p->f01[s] + p->f12[s]);
     force(f, n1->y, n1->Jq, r, np, g);
   }
@@ -132,12 +126,6 @@ static void move(Path* p, const Pose* from, const double* step, double alpha, in
   node_set(p, p->n2, &to, what);
 }
 
-static double largest_of(const double* a, int n) { /* infinity if one is not finite */
-  double s = 0;
-  for (int i = 0; i < n; i++) s = fabs(a[i]) <= s ? s : isfinite(a[i]) ? fabs(a[i]) : INFINITY;
-  return s;
-}
-
 /* The first guess: the motion goes on as it was. */
 static void go_on(const Path* p, Pose* guess) {
   const Pose *x0 = &p->n0->at, *x1 = &p->n1->at;
@@ -155,7 +143,7 @@ static void go_on(const Path* p, Pose* guess) {
 static void free_matrix(Path* p, const Node* b, double* H) {
   memset(H, 0, sizeof p->H);
   inertia_matrix(p, b, H);
-  if (!has_drag(p)) return;
+  if (!has_drag(p->body, p->par)) return;
   interval_drag(p, p->n1, p->n2, p->area12, p->f12, p->D12);
   drag_matrix(p, p->n2->y, p->n1->Jq, H);
 }
