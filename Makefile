@@ -16,7 +16,7 @@ help:
 	@echo "make test-full  all tests"
 	@echo "make sanitize   the tests of the C code, built with address and undefined-behaviour sanitizers"
 	@echo "make bench      time what the README's tables state"
-	@echo "make lint       ruff and mypy"
+	@echo "make lint       ruff, mypy, and that no line of C has more than 100 columns"
 	@echo "make clean      remove what was built (not .venv, not logs)"
 
 setup: $(READY)
@@ -55,6 +55,8 @@ lint: $(READY)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy $(LINTED)
+	@awk 'length > 100 { print FILENAME ":" FNR ": more than 100 columns"; long = 1 } \
+	  END { exit long }' defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch]
 
 # The libraries are built first and by themselves, so that a missing compiler is one sentence.
 $(READY): $(SOURCES) | $(PYTHON)

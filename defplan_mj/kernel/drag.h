@@ -1,6 +1,6 @@
-/* The drag of a medium on the body's drag points in the interval between two configurations: its law,
- * derivatives of it, and the area vectors that it takes (drag.c). Symmetric matrices D of points are
- * kept as xx xy xz yy yz zz, np each. */
+/* The drag of a medium on the body's drag points in the interval between two configurations: its
+ * law, derivatives of it, and the area vectors that it takes (drag.c). Symmetric matrices D of
+ * points are kept as xx xy xz yy yz zz, np each. */
 #ifndef DEFPLAN_DRAG_H
 #define DEFPLAN_DRAG_H
 #include "kinematics.h"
@@ -11,10 +11,10 @@ static inline int has_drag(const Body* b, const double* par) {
   return b->np && par[DP_FLUID_DENSITY] != 0;
 }
 
-/* Forces f (3 np) on points with area vectors a that went from y0 to y1 in h, from centres dc apart,
- *   f = -c_n |v.a| (v.a) a - c_t sqrt(|v|^2 + e^2) v,  c_n = rho C_d / 2 |a|^2,  c_t = rho C_f |a| / 2,
- * v = (dc + y1 - y0)/h, and D = -df/dy1 (NULL: not wanted). With D, returns the potential that f has:
- * E = h sum [c_n |v.a|^3 + c_t (|v|^2 + e^2)^{3/2}] / 3, f = -dE/dy1. */
+/* Forces f (3 np) on points of area vectors a that went from y0 to y1 in h, centres dc apart,
+ *   f = -c_n |v.a| (v.a) a - c_t sqrt(|v|^2 + e^2) v,  c_n = rho C_d/2|a|^2, c_t = rho C_f |a|/2,
+ * v = (dc + y1 - y0)/h, and D = -df/dy1 (NULL: not wanted). With D, returns the potential that f
+ * has: E = h sum [c_n |v.a|^3 + c_t (|v|^2 + e^2)^{3/2}] / 3, f = -dE/dy1. */
 double drag_forces(const Body* b, const double* par, double h, const double* dc, const double* y0,
                    const double* y1, const double* area, double* f, double* D);
 

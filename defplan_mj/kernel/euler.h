@@ -1,5 +1,6 @@
-/* A substep by implicit Euler, for comparison: euler_energy.c writes its energy down, euler_contact.c
- * the forces on points, euler_solve.c finds the minimum, euler_derivatives.c differentiates it. */
+/* A substep by implicit Euler, for comparison: euler_energy.c writes its energy down,
+ * euler_contact.c the forces on points, euler_solve.c finds the minimum, euler_derivatives.c
+ * differentiates it. */
 #ifndef DEFPLAN_EULER_H
 #define DEFPLAN_EULER_H
 #include "drag.h"
@@ -12,7 +13,7 @@ typedef struct {
   double *zeta, *dz; /* kp: (1, z); r x kp: dz/dq, right behind it */
 } Config;
 
-/* What a substep needs in memory. Vectors in world axes, and places from the centre c, unless said. */
+/* What a substep needs in memory. Vectors in world axes, places from the centre c, unless said. */
 typedef struct {
   const Body* body;
   const double *par, *u; /* options; target at the end of the substep (r), then forces on feet */
@@ -61,7 +62,7 @@ typedef struct {
 } Work;
 
 /* --- euler_energy.c */
-/* Lay `w` out in memory (64-byte aligned), or, if that is NULL, only measure; returns the doubles. */
+/* Lay `w` out in memory (64-byte aligned), or, if that is NULL, only measure: how many doubles. */
 size_t work_lay(Work* w, const Parts* parts, double* memory);
 /* Take the last two configurations, their places told from `origin` (world), and the input. */
 void work_begin(Work* w, const double* origin, const Pose* before, const Pose* last,
@@ -86,8 +87,8 @@ void contact_places(const Work* w, const Config* cfg, double* out);
 double forces_evaluate(Work* w);
 /* The rest of the Hessian, which is not symmetric: after it has been mirrored. */
 void forces_hessian(Work* w);
-/* What they add to euler_pull, the motion w->along known: by the last configuration (out: c and turn;
- * gz: zeta) and by the given forces (gu, may be NULL). */
+/* What they add to euler_pull, the motion w->along known: by the last configuration (out: c and
+ * turn; gz: zeta) and by the given forces (gu, may be NULL). */
 void forces_mixed(Work* w, const double* lambda, double* out, double* gz, double* gu);
 
 /* --- euler_solve.c */

@@ -1,7 +1,7 @@
 /* Forces on points of the body in implicit Euler's step: contact with the terrain, by the law of
- * contact_law.c with v = (p - p_1)/h, and given forces on its feet. All of it is taken at the end of
- * the step, so the equations are no longer those of a minimum. With `reference` the normal of friction
- * and its force are those there, and there is no damping: then friction has the potential
+ * contact_law.c with v = (p - p_1)/h, and given forces on its feet. All of it is taken at the end
+ * of the step, so the equations are no longer those of a minimum. With `reference` the normal of
+ * friction and its force are those there, and there is no damping: then friction has the potential
  * h mu |f_n| sqrt(|v|^2 + e^2), and the step is a minimisation again. */
 #include "euler.h"
 
@@ -44,8 +44,8 @@ static void spring(double k, double depth, const double* a, const double* A, dou
     D[i] += 2 * k * depth * a[i / 3] * a[i % 3] - k * depth * depth * A[i];
 }
 
-/* Friction by the normal force at `reference`: f -= mu f_n u / sqrt(|u|^2 + e^2), u = (I - n n^T) v,
- * F = -df/dv; returns its potential. */
+/* Friction by the normal force at `reference`: f -= mu f_n u / sqrt(|u|^2 + e^2),
+ * u = (I - n n^T) v tangential; F = -df/dv; returns its potential. */
 static double lagged_friction(const Work* w, int part, const double* v, const double* reference,
                               double* f, double* D, double* F) {
   const Terrain* t = &w->terrain;
@@ -66,8 +66,8 @@ static double lagged_friction(const Work* w, int part, const double* v, const do
   return h * mu * fn * (speed - t->slip);
 }
 
-/* Force f (3) on a point at p that was at `before`, D = -df/dp in all, F = -df/dv; returns the energy.
- * With friction at the iterate the law is that of contact_law.c, which has none: the spring's. */
+/* Force f (3) on a point at p that was at `before`, D = -df/dp in all, F = -df/dv; returns the
+ * energy (with the law of contact_law.c, which has none, the spring's). */
 static double contact_force(const Work* w, int part, const double* p, const double* before,
                             const double* reference, double* f, double* D, double* F) {
   const Terrain* t = &w->terrain;
@@ -145,7 +145,7 @@ static double touch_part(Work* w, int part, int* slot, int* which, int* m, doubl
   return energy;
 }
 
-/* Take the m points `which`: their field if they are others than before, their places and forces. */
+/* Take the m points `which`: places and forces, and their field if they are not those of before. */
 static void gather(Work* w, const int* which, int m, const double* f, const double* centre) {
   const Body* b = w->body;
   const int nc = b->nc, mp = padded(m);

@@ -1,12 +1,12 @@
 /* Exact derivatives of the implicit Euler step's equations dE/dQ = 0.
  *
- * For a vector lambda over the increments (c, t, q) take the scalar L = lambda . dE/dQ, which is the
+ * For a vector lambda over the increments (c, t, q) take the scalar L = lambda . dE/dQ, the
  * derivative of E along the motion w = lambda_c + lambda_t x y + R Phi dz lambda_q of the points,
  *
- *   L = sum_v m w.(p - 2 p_1 + p_0)/h^2 - sum_s w.F(p, p_1, a_1) - sum_s w.F_contact - sum_s w.f_feet
+ *   L = sum_v m w.(p - 2 p_1 + p_0)/h^2 - sum_s w.(F(p, p_1, a_1) + F_contact + f_feet)
  *     + lambda_q . K [q + k_c (q - u) + b (q - q_1)/h],
  *
- * and differentiate it by what it takes of the last two configurations: places, area vectors, q_1. */
+ * and differentiate it by what it has of the last two configurations: places, area vectors, q. */
 #include "euler.h"
 
 void euler_linearise(Work* w, const Pose* next) {

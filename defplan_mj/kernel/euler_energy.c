@@ -5,8 +5,8 @@
  *     + h sum_s [rho C_d |v.a|^3 / 6 |a|^2 + rho C_f |a| (|v|^2 + e)^{3/2} / 6],        (drag)
  *
  * with W_a = (2 R_1 P_a(zeta_1)^T - R_0 P_a(zeta_0)^T) / h^2 and the area vectors a lagged, so that
- * the step stays a minimisation. The rotation is updated by R <- exp([t]) R from wherever the iterate
- * stands, so no attitude is special. docs/kernel.md derives the blocks of the Hessian. */
+ * the step stays a minimisation. The rotation is updated by R <- exp([t]) R from wherever the
+ * iterate stands, so no attitude is special. docs/kernel.md derives the blocks of the Hessian. */
 #include "euler.h"
 
 size_t work_lay(Work* w, const Parts* parts, double* memory) {
@@ -126,7 +126,8 @@ static double add_rotation(Work* w) {
   return e;
 }
 
-/* Elasticity, control and damping: g_q = K (q + k_c (q - u) + b (q - q_1)/h), H_qq = K (1 + k_c + b/h);
+/* Elasticity, control, damping: g_q = K (q + k_c (q - u) + b (q - q_1)/h),
+ * H_qq = K (1 + k_c + b/h);
  * inertia through dz: g_q += dz^T gz, H_qq += dz^T dz / h^2, H_tq = W_turn dz */
 static double add_modes(Work* w) {
   const Body* b = w->body;

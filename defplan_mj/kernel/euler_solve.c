@@ -25,8 +25,8 @@ static void stay(Work* w) { /* at the last configuration */
 static int most_iterations(const Work* w) { return (int)fmin(w->par[DP_MAX_NEWTON], 1000); }
 static int has_work_left(const Work* w) { return *w->spent < DP_MAX_WORK; }
 
-/* Factors of H: Cholesky's of a minimum, with the diagonal raised just far enough where E is not convex
- * (a larger shift would only crawl); LU of a root. 0 if there are none. */
+/* Factors of H: Cholesky's of a minimum, with the diagonal raised just far enough where E is not
+ * convex (a larger shift would only crawl); LU of a root. 0 if there are none. */
 static int factorise_step(Work* w, int minimum, Factors* f) {
   const int n = 6 + w->body->r;
   if (!minimum) return factorise(f, w->H, n, 0);
@@ -42,9 +42,9 @@ static int factorise_step(Work* w, int minimum, Factors* f) {
   return 1;
 }
 
-/* Whether alpha step may be taken, the iterate being where it leads: to a minimum the energy must fall
- * by enough (Armijo); to a root the next step, with the same factors, must be shorter (Deuflhard's
- * natural monotonicity test). */
+/* Whether alpha step may be taken, the iterate being where it leads: to a minimum the energy must
+ * fall by enough (Armijo); to a root the next step, with the same factors, must be shorter
+ * (Deuflhard's natural monotonicity test). */
 static int is_better(const Work* w, int minimum, const Factors* f, double energy,
                      const double* gradient, const double* step, double alpha) {
   const int n = 6 + w->body->r;
@@ -97,8 +97,8 @@ static void places_now(Work* w, double* out) {
   contact_places(w, &w->now, out);
 }
 
-/* Friction from the last iterate's normal forces, which makes the step a minimisation, then Newton from
- * its minimum; the forces follow at half speed if that is not enough. */
+/* Friction from the last iterate's normal forces, which makes the step a minimisation, then Newton
+ * from its minimum; the forces follow at half speed if that is not enough. */
 static int solve_lagged(Work* w, int rounds, dp_info* info) {
   double next[3 * DP_MAX_CONTACTS];
   places_now(w, w->touch_lagged);
@@ -122,7 +122,7 @@ static int solve_lagged(Work* w, int rounds, dp_info* info) {
 
 /* --- a path of solutions */
 
-/* The way from the last configuration to the iterate, 6 + r, and the inverse Jacobian J of its turn. */
+/* The way (6 + r) from the last configuration to the iterate, the inverse Jacobian of its turn. */
 static void way_from_last(const Work* w, double* way, double* J) {
   const Config *one = &w->one, *now = &w->now;
   double turn[4];
@@ -138,8 +138,9 @@ static void way_from_last(const Work* w, double* way, double* J) {
 }
 
 /* Gradient and Hessian of share * (the step's equations) + (1 - share) * scale * (way from the last
- * configuration), and the gradient's derivative by the share. The way's Hessian is that of |way|^2 / 2 in
- * the increment: symmetric like E's, since where the sum is zero the two skew parts cancel. */
+ * configuration), and the gradient's derivative by the share. The way's Hessian is that of
+ * |way|^2 / 2 in the increment: symmetric like E's, since where the sum is 0 the skew parts
+ * cancel. */
 static void assemble_share(Work* w, const double* scale, double share, double* by_share) {
   const int n = 6 + w->body->r;
   double way[MAX_N], J[9];
@@ -158,8 +159,9 @@ static void assemble_share(Work* w, const double* scale, double share, double* b
   }
 }
 
-/* Factors of the Hessian bordered by the derivative by the share (last column) and `row` (last row). */
-static int border(const Work* w, const double* by_share, const double* row, double* A, int* pivot, int* sign) {
+/* Factors of the Hessian bordered by the derivative by the share (a column) and `row`. */
+static int border(const Work* w, const double* by_share, const double* row, double* A, int* pivot,
+                  int* sign) {
   const int n = 6 + w->body->r, m = n + 1;
   for (int i = 0; i < n; i++) {
     memcpy(A + i * m, w->H + i * n, sizeof(double) * n);
@@ -180,8 +182,8 @@ static void path_scale(Work* w, double* scale) {
   scale[3] = scale[4] = scale[5] = fmax(scale[3], fmax(scale[4], scale[5]));
 }
 
-/* The tangent (n + 1) of the path at the iterate: onwards is where the bordered matrix keeps its sign,
- * also round the kinks where a point touches. */
+/* The tangent (n + 1) of the path at the iterate: onwards is where the bordered matrix keeps its
+ * sign, also round the kinks where a point touches. */
 static int path_tangent(Work* w, const double* scale, double share, double* tangent) {
   const int n = 6 + w->body->r;
   double A[(MAX_N + 1) * (MAX_N + 1)], by_share[MAX_N], rhs[MAX_N + 1] = {0};
@@ -223,9 +225,9 @@ static int path_step(Work* w, const Config* last, const double* scale, const dou
 }
 
 /* Follow the solutions from where the body is (share 0, whose only solution that is) to the step's
- * (share 1), by the length of their path, since it may fold. Inertia and stiffness grow with the way,
- * friction works against it: the path stays bounded, cannot come back to share 0 and so arrives,
- * whatever the step (fixed-point homotopy: Chow, Mallet-Paret, Yorke, 1978). */
+ * (share 1), by the length of their path, since it may fold. Inertia and stiffness grow with the
+ * way, friction works against it: the path stays bounded, cannot come back to share 0 and so
+ * arrives, whatever the step (fixed-point homotopy: Chow, Mallet-Paret, Yorke, 1978). */
 static int solve_path(Work* w, dp_info* info) {
   double scale[MAX_N], tangent[MAX_N + 1] = {0}, share = 0, length = .1;
   const int n = 6 + w->body->r;

@@ -6,7 +6,7 @@
 
 #include "kernel.h"
 
-enum { PAD = 8 };                            /* arrays are padded to multiples of it, see vectors.h */
+enum { PAD = 8 }; /* arrays are padded to multiples of it, see vectors.h */
 enum { MAX_N = 6 + DP_MAX_MODES, ROW = 24 }; /* unknowns of a substep; a padded row of them */
 enum { MAX_STATE = 13 + 3 * DP_MAX_MODES };
 enum { MAX_ZETA = DP_MAX_BASIS + 2 * PAD }; /* room for one zeta, padded */
@@ -44,7 +44,8 @@ static inline void mul_mtv(const double* A, const double* v, double* out) {
 static inline void skew_mul(const double* w, const double* A, double* out) { /* [w] A */
   for (int j = 0; j < 3; j++) {
     double x = A[j], y = A[3 + j], z = A[6 + j];
-    out[j] = w[1] * z - w[2] * y, out[3 + j] = w[2] * x - w[0] * z, out[6 + j] = w[0] * y - w[1] * x;
+    out[j] = w[1] * z - w[2] * y, out[3 + j] = w[2] * x - w[0] * z;
+    out[6 + j] = w[0] * y - w[1] * x;
   }
 }
 /* d with <[d], A> = sum_ij [d]_ij A_ij for all [d] */

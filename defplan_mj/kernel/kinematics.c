@@ -2,8 +2,8 @@
  * linear maps over the basis. F_e = exp([w]) (I + E), w and E linear in q (Pan et al. [22]). */
 #include "kinematics.h"
 
-/* Coefficients of exp([w]) = I + a [w] + b [w]^2 as functions of T = |w|^2, and a1 = 2 da/dT,
- * a2 = 2 da1/dT, likewise b, so that da/dw = a1 w. Their series: exact to the last digit up to T = 4;
+/* Coefficients of exp([w]) = I + a [w] + b [w]^2 as functions of T = |w|^2, and a1 = 2 da/dT, a2 =
+ * 2 da1/dT, likewise b, so that da/dw = a1 w. Their series: exact to the last digit up to T = 4;
  * the closed forms lose digits near zero. */
 enum { TERMS = 12 };
 static const double SERIES_END = 4;
@@ -12,11 +12,11 @@ static const double EXP_SERIES[6][TERMS] = {
      -1. / 1307674368000., 1. / 355687428096000., -1. / 121645100408832000.,
      1. / 51090942171709440000., -1. / 25852016738884976640000.}, /* a */
     {1. / 2., -1. / 24., 1. / 720., -1. / 40320., 1. / 3628800., -1. / 479001600.,
-     1. / 87178291200., -1. / 20922789888000., 1. / 6402373705728000.,
-     -1. / 2432902008176640000., 1. / 1124000727777607680000., -1. / 620448401733239439360000.}, /* b */
+     1. / 87178291200., -1. / 20922789888000., 1. / 6402373705728000., -1. / 2432902008176640000.,
+     1. / 1124000727777607680000., -1. / 620448401733239439360000.}, /* b */
     {-1. / 3., 1. / 30., -1. / 840., 1. / 45360., -1. / 3991680., 1. / 518918400.,
-     -1. / 93405312000., 1. / 22230464256000., -1. / 6758061133824000.,
-     1. / 2554547108585472000., -1. / 1175091669949317120000., 1. / 646300418472124416000000.}, /* a1 */
+     -1. / 93405312000., 1. / 22230464256000., -1. / 6758061133824000., 1. / 2554547108585472000.,
+     -1. / 1175091669949317120000., 1. / 646300418472124416000000.}, /* a1 */
     {-1. / 12., 1. / 180., -1. / 6720., 1. / 453600., -1. / 47900160., 1. / 7264857600.,
      -1. / 1494484992000., 1. / 400148356608000., -1. / 135161222676480000.,
      1. / 56200036388880384000., -1. / 28202200078783610880000.,
@@ -31,7 +31,7 @@ static const double EXP_SERIES[6][TERMS] = {
      -1. / 488603116364926058496000000.}, /* b2 */
 };
 
-/* The same by closed forms: out[0], out[LANES], ...: a, b, a1, b1, a2, b2, each in a lane of its vector */
+/* The same by closed forms: out[0], out[LANES], ...: a, b, a1, b1, a2, b2, in a lane each */
 static void exp_closed(double t2, double* out) {
   const double t = sqrt(t2), c = cos(t);
   double s[6] = {sin(t) / t, (1 - c) / t2};
@@ -87,7 +87,8 @@ void kinematics(const Body* b, const double* q, int derivatives, double* restric
     else exp_coef(t2, 2, coef);
     const Vec a = coef[0], bb = coef[1], zero = {0};
     strain_matrix(x, Y);
-    W[0] = W[4] = W[8] = zero, W[1] = -x[2], W[2] = x[1], W[3] = x[2], W[5] = -x[0], W[6] = -x[1], W[7] = x[0];
+    W[0] = W[4] = W[8] = zero, W[1] = -x[2], W[2] = x[1], W[3] = x[2], W[5] = -x[0], W[6] = -x[1],
+    W[7] = x[0];
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++) E[3 * i + j] = a * W[3 * i + j] + bb * x[i] * x[j];
     for (int i = 0; i < 3; i++) E[4 * i] += 1 - bb * t2;
@@ -112,11 +113,13 @@ void kinematics(const Body* b, const double* q, int derivatives, double* restric
         static const int strain_index[9] = {3, 4, 5, 4, 6, 7, 5, 7, 8}; /* of Y_lj in x */
         Vec g[3];
         for (int n = 0; n < 3; n++)
-          g[n] = D[9 * n + 3 * i] * Y[j] + D[9 * n + 3 * i + 1] * Y[3 + j] + D[9 * n + 3 * i + 2] * Y[6 + j];
+          g[n] = D[9 * n + 3 * i] * Y[j] + D[9 * n + 3 * i + 1] * Y[3 + j] +
+                 D[9 * n + 3 * i + 2] * Y[6 + j];
         for (int c = 0; c < r; c++) {
           Vec s = zero;
           for (int n = 0; n < 3; n++) s += g[n] * load(L + (n * r + c) * lanes);
-          for (int l = 0; l < 3; l++) s += E[3 * i + l] * load(L + (strain_index[3 * l + j] * r + c) * lanes);
+          for (int l = 0; l < 3; l++)
+            s += E[3 * i + l] * load(L + (strain_index[3 * l + j] * r + c) * lanes);
           *(Vec*)(df + (size_t)c * nf + (3 * i + j) * lanes + LANES * e) = s;
         }
       }
@@ -134,12 +137,14 @@ void kinematics_curvature(const Body* b, const double* grad, double* restrict sc
     const double* L = b->features + LANES * e;
     const Vec *x = (const Vec*)scratch + PER_BLOCK * e, *D = x + 9, *coef = x + 45;
     const Vec bb = coef[1], a1 = coef[2], b1 = coef[3], a2 = coef[4], b2 = coef[5], zero = {0};
-    Vec A[9], Y[9], AY[9], al[3], Bw[3], Hw[9], Hm[18]; /* second derivatives: w w (3 x 3), w strain (3 x 6) */
+    Vec A[9], Y[9], AY[9], al[3], Bw[3];
+    Vec Hw[9], Hm[18]; /* second derivatives: w w (3 x 3), w strain (3 x 6) */
     for (int i = 0; i < 9; i++) A[i] = load(As + i * lanes + LANES * e);
     strain_matrix(x, Y);
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++)
-        AY[3 * i + j] = A[3 * i] * Y[3 * j] + A[3 * i + 1] * Y[3 * j + 1] + A[3 * i + 2] * Y[3 * j + 2];
+        AY[3 * i + j] =
+            A[3 * i] * Y[3 * j] + A[3 * i + 1] * Y[3 * j + 1] + A[3 * i + 2] * Y[3 * j + 2];
     const Vec tr = AY[0] + AY[4] + AY[8];
     al[0] = AY[7] - AY[5], al[1] = AY[2] - AY[6], al[2] = AY[3] - AY[1];
     for (int i = 0; i < 3; i++) {
@@ -157,8 +162,10 @@ void kinematics_curvature(const Body* b, const double* grad, double* restrict sc
       Vec N[9], *h = Hm + 6 * n;
       for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
-          N[3 * i + j] = D[9 * n + i] * A[j] + D[9 * n + 3 + i] * A[3 + j] + D[9 * n + 6 + i] * A[6 + j];
-      h[0] = N[0], h[1] = N[1] + N[3], h[2] = N[2] + N[6], h[3] = N[4], h[4] = N[5] + N[7], h[5] = N[8];
+          N[3 * i + j] =
+              D[9 * n + i] * A[j] + D[9 * n + 3 + i] * A[3 + j] + D[9 * n + 6 + i] * A[6 + j];
+      h[0] = N[0], h[1] = N[1] + N[3], h[2] = N[2] + N[6], h[3] = N[4], h[4] = N[5] + N[7],
+      h[5] = N[8];
     }
     for (int c = 0; c < r; c++) {
       Vec T[9]; /* second derivatives times column c */
@@ -214,7 +221,8 @@ void moments_contract(double factor, const double* A, const double* restrict T, 
   }
 }
 
-void field_apply(const Body* b, const double* field, int m, const double* zeta, int n, double* restrict out) {
+void field_apply(const Body* b, const double* field, int m, const double* zeta, int n,
+                 double* restrict out) {
   multiply(m, zeta, b->kp, 1, field, b->k + 1, 3 * n, out);
 }
 

@@ -61,10 +61,13 @@ int parts_view(Parts* p, const dp_model* m) {
   const double* par = m->par;
   if (!par) return 0; /* geometry only */
   if (!is_finite(par, DP_N_PAR)) return -2;
-  static const int positive[] = {DP_FLUID_DENSITY, DP_DRAG_NORMAL, DP_DRAG_TANGENT, DP_CONTROL, DP_DAMPING};
+  static const int positive[] = {DP_FLUID_DENSITY, DP_DRAG_NORMAL, DP_DRAG_TANGENT, DP_CONTROL,
+                                 DP_DAMPING};
   for (int i = 0; i < 5; i++)
     if (par[positive[i]] < 0) return -2;
-  if (!(par[DP_TIMESTEP] > 0 && par[DP_TIMESTEP] < 1e6 && par[DP_TOLERANCE] > 0 && par[DP_MAX_NEWTON] >= 1)) return -2;
+  if (!(par[DP_TIMESTEP] > 0 && par[DP_TIMESTEP] < 1e6 && par[DP_TOLERANCE] > 0 &&
+        par[DP_MAX_NEWTON] >= 1))
+    return -2;
   if (!is_count(par[DP_SUBSTEPS], DP_MAX_SUBSTEPS) || par[DP_SUBSTEPS] < 1) return -2;
   if (!is_count(par[DP_INTEGRATOR], DP_IMPLICIT_EULER)) return -2;
   p->substeps = (int)par[DP_SUBSTEPS], p->euler = par[DP_INTEGRATOR] == DP_IMPLICIT_EULER;

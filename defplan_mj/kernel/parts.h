@@ -1,7 +1,7 @@
 /* What a dp_model names, as views of its arrays: the body, what it touches, where given forces act
- * (parts.c, which checks them). Arrays over basis functions (index 0 is the rest shape) are padded to
- * kp, arrays over drag points to np, modal arrays to rp: multiples of PAD, so that the compiler fills
- * whole vectors without a remainder. */
+ * (parts.c, which checks them). Arrays over basis functions (index 0 is the rest shape) are padded
+ * to kp, arrays over drag points to np, modal arrays to rp: multiples of PAD, so that the compiler
+ * fills whole vectors without a remainder. */
 #ifndef DEFPLAN_PARTS_H
 #define DEFPLAN_PARTS_H
 #include "terrain.h"
@@ -51,5 +51,7 @@ typedef struct {
 enum { NO_BODY = -1 };
 int parts_view(Parts* p, const dp_model* m);
 /* Contact points that are looked at: none without a terrain. */
-static inline int contacts_of(const Parts* p) { return terrain_parts(&p->terrain) ? p->body.nc : 0; }
+static inline int contacts_of(const Parts* p) {
+  return terrain_parts(&p->terrain) ? p->body.nc : 0;
+}
 #endif

@@ -20,6 +20,6 @@ void state_pack_pull(int r, const Pose* last, const Pose* before, double h, cons
 /* Gradients over both nodes of state_nodes -> over x; its target's part is left. */
 void state_nodes_pull(int r, const double* x, const Pose* last, double h, const double* g_last,
                       const double* g_before, double* gx);
-/* Gradient g over a turn (world) of a quaternion as given, not normalised -> over its numbers (4). */
+/* Gradient g over a turn (world) of a quaternion -> over its 4 numbers, of any length. */
 void quaternion_pull(const double* quat, const double* g, double* out);
 #endif

@@ -1,9 +1,9 @@
-/* A control step: substeps from node to node of a path, by the integrator of the options, with their
- * derivatives by the implicit function theorem; rollouts.
+/* A control step: substeps from node to node of a path, by the integrator of the options, with
+ * their derivatives by the implicit function theorem; rollouts.
  *
- * The state holds the last node and, in its velocities, the one before; they are recomputed from it, so
- * that a saved state replays to the bit. A substep without a solution is divided: the whole step is done
- * again with twice as many. */
+ * The state holds the last node and, in its velocities, the one before; they are recomputed from
+ * it, so that a saved state replays to the bit. A substep without a solution is divided: the whole
+ * step is done again with twice as many. */
 
 #include "euler.h"
 #include "path.h"
@@ -25,7 +25,7 @@ typedef struct {
   Work work;
   Path path;
   double spent;               /* multiplications since the step began: DP_MAX_WORK ends it */
-  const double* origin;       /* what the nodes' places are told from: x's, so that no digit is lost */
+  const double* origin; /* what the nodes' places are told from: x's, so that no digit is lost */
   double input[DP_MAX_INPUT]; /* of the substep */
 } Solver;
 
@@ -39,7 +39,7 @@ static size_t solver_lay(Solver* s, const Parts* parts, double* memory) {
   double memory_of_##s[solver_lay(&s, parts, NULL) + PAD];               \
   solver_lay(&s, parts, aligned(memory_of_##s))
 
-/* Share of the new target in that of substep k of n: at its node 1, or for implicit Euler at its end. */
+/* Share of the new target in that of substep k of n: at node 1, for implicit Euler at its end. */
 static double share_of(const Parts* p, int k, int n) { return (double)(p->euler ? k + 1 : k) / n; }
 
 /* Target of substep k of n on its way from the last one; the forces on the feet are held. */
@@ -51,8 +51,8 @@ static void set_input(Solver* s, const double* last, const double* u, int k, int
 }
 
 /* Next to the last two nodes, of which the path keeps what it knows. */
-static int solve_substep(Solver* s, int first, const Pose* x0, const Pose* x1, double h, const Pose* guess,
-                         Pose* x2, dp_info* info) {
+static int solve_substep(Solver* s, int first, const Pose* x0, const Pose* x1, double h,
+                         const Pose* guess, Pose* x2, dp_info* info) {
   if (s->euler) {
     work_begin(&s->work, s->origin, x0, x1, s->input, h);
     return euler_solve(&s->work, guess, x2, info);
@@ -74,26 +74,26 @@ static int solve_substep(Solver* s, int first, const Pose* x0, const Pose* x1, d
   return done;
 }
 
-/* How far from free motion a substep may end, in q and in rad. The equations of a coarse step have several
- * solutions; the one that goes on with the motion is near it, so one far from it asks for finer substeps. */
+/* How far from free motion a substep may end, in q and in rad. The equations of a coarse step have
+ * several solutions; the one that goes on with the motion is near it, so one far from it asks for
+ * finer substeps. */
 static const double MAX_DEVIATION = 1.2;
 
 /* Whether x[2] is that far from where the motion from x[0] to x[1] would have gone by itself. */
 static int strays(int r, const Pose* x) {
-  double back[4] = {x[0].quat[0], -x[0].quat[1], -x[0].quat[2], -x[0].quat[3]}, turn[4], free[4], dq[4], w[3];
-  quat_mul(x[1].quat, back, turn), quat_mul(turn, x[1].quat, free);
-  free[1] = -free[1], free[2] = -free[2], free[3] = -free[3];
-  quat_mul(x[2].quat, free, dq), quat_log(dq, w);
+  double turn[4], free[4], dq[4], w[3];
+  quat_between(x[0].quat, x[1].quat, turn), quat_mul(turn, x[1].quat, free);
+  quat_between(free, x[2].quat, dq), quat_log(dq, w);
   double most = sqrt(dot3(w, w));
   for (int c = 0; c < r; c++) most = fmax(most, fabs(x[2].q[c] - 2 * x[1].q[c] + x[0].q[c]));
   return !(most < MAX_DEVIATION);
 }
 
-/* A step's nodes: nodes[0] is before x, nodes[1] is x, then one a substep. Returns the number of parts
- * that substeps were divided into, first or more, 0 if there is no solution. `near` (NULL: none): a state
- * near the solution. `nodes` holds 2 + substeps * most. */
-static int solve_nodes(Solver* s, const double* x, const double* u, const double* near, int first, int most,
-                       Pose* nodes, dp_info* info) {
+/* A step's nodes: nodes[0] is before x, nodes[1] is x, then one a substep. Returns the number of
+ * parts that substeps were divided into, first or more, 0 if there is no solution. `near` (NULL:
+ * none): a state near the solution. `nodes` holds 2 + substeps * most. */
+static int solve_nodes(Solver* s, const double* x, const double* u, const double* near, int first,
+                       int most, Pose* nodes, dp_info* info) {
   const Parts* p = s->parts;
   const int r = p->body.r;
   const double* last = x + 13 + 2 * r;
@@ -149,8 +149,8 @@ static int sane(const Parts* p, const double* x, const double* u) {
   return is_finite(x, 13 + 3 * r) && is_finite(u, p->nu) && norm > 1e-300 && norm < 1e300;
 }
 
-static int step(const Parts* p, const double* x, const double* u, const double* near, double* x_next,
-                dp_info* info) {
+static int step(const Parts* p, const double* x, const double* u, const double* near,
+                double* x_next, dp_info* info) {
   const int r = p->body.r;
   dp_info local;
   if (!info) info = &local;
@@ -175,13 +175,12 @@ static int step(const Parts* p, const double* x, const double* u, const double* 
   return info->failed;
 }
 
-
 int dp_step(const dp_model* m, const double* x, const double* u, double* x_next, dp_info* info) {
   return dp_step_near(m, x, u, NULL, x_next, info);
 }
 
-int dp_step_near(const dp_model* m, const double* x, const double* u, const double* near, double* x_next,
-                 dp_info* info) {
+int dp_step_near(const dp_model* m, const double* x, const double* u, const double* near,
+                 double* x_next, dp_info* info) {
   Parts p;
   const int wrong = parts_view(&p, m);
   if (!wrong && (!near || sane(&p, near, u))) return step(&p, x, u, near, x_next, info);
@@ -211,9 +210,10 @@ int dp_rollout(const dp_model* m, int N, const double* u, double* xs, long* iter
 
 /* --- derivatives */
 
-/* Set the solver to the solved substep k of n, from its last backwards; 0 if its matrix is singular.
- * *left is how far the nodes are from the solution: the Newton step that is left. */
-static int linearise(Solver* s, const Pose* nodes, int k, int n, double h, Factors* f, double* left) {
+/* Set the solver to the solved substep k of n, from its last backwards; 0 if its matrix is
+ * singular. *left is how far the nodes are from the solution: the Newton step that is left. */
+static int linearise(Solver* s, const Pose* nodes, int k, int n, double h, Factors* f,
+                     double* left) {
   double step[MAX_N];
   const double *H, *g;
   int symmetric = 0;
@@ -251,9 +251,10 @@ static void pull_substep(Solver* s, const double* lambda, double* a1, double* a0
   else variational_pull(&s->path, lambda, a1, a0, au);
 }
 
-/* The nodes of a solved step. Two of them are in each of its states, so that with one or two substeps
- * nothing has to be solved again; others are. */
-static int recover_nodes(Solver* s, const double* x, const double* u, const double* x_next, Pose* nodes) {
+/* The nodes of a solved step. Two of them are in each of its states, so that with one or two
+ * substeps nothing has to be solved again; others are. */
+static int recover_nodes(Solver* s, const double* x, const double* u, const double* x_next,
+                         Pose* nodes) {
   const Parts* p = s->parts;
   const int r = p->body.r, n = p->substeps;
   const double h = substep(p, 1);
@@ -262,11 +263,13 @@ static int recover_nodes(Solver* s, const double* x, const double* u, const doub
   state_nodes(r, x, h, nodes + 1, nodes);
   for (int k = 0; k < n - 2; k++) {
     set_input(s, x + 13 + 2 * r, u, k, n);
-    if (!solve_substep(s, k == 0, nodes + k, nodes + k + 1, h, NULL, nodes + k + 2, &info)) return 0;
+    if (!solve_substep(s, k == 0, nodes + k, nodes + k + 1, h, NULL, nodes + k + 2, &info))
+      return 0;
   }
   Pose before;
   state_nodes(r, x_next, h, nodes + n + 1, &before);
-  for (int i = 0; i < 3; i++) nodes[n + 1].c[i] = x_next[i] - x[i], before.c[i] += nodes[n + 1].c[i];
+  for (int i = 0; i < 3; i++)
+    nodes[n + 1].c[i] = x_next[i] - x[i], before.c[i] += nodes[n + 1].c[i];
   if (n > 1) nodes[n] = before;
   return 1;
 }
@@ -274,10 +277,12 @@ static int recover_nodes(Solver* s, const double* x, const double* u, const doub
 /* What is done with each linearised substep, from the last backwards. */
 typedef void (*Backward)(Solver* s, const Factors* f, int k, int n, void* data);
 
-/* Go backwards through the substeps of the step from x to x_next, with its nodes; returns 0, or 1 if a
- * matrix is singular. begin(data, nodes, n, h) comes first, and again if the step was a divided one. */
+/* Go backwards through the substeps of the step from x to x_next, with its nodes; returns 0, or 1
+ * if a matrix is singular. begin(data, nodes, n, h) comes first, and again if the step was a
+ * divided one. */
 static int backward(Solver* s, const double* x, const double* u, const double* x_next,
-                    void (*begin)(Solver*, const Pose*, int, double, void*), Backward each, void* data) {
+                    void (*begin)(Solver*, const Pose*, int, double, void*), Backward each,
+                    void* data) {
   const Parts* p = s->parts;
   const int r = p->body.r;
   Factors f;
@@ -289,7 +294,8 @@ static int backward(Solver* s, const double* x, const double* u, const double* x
     int division = 1, k;
     dp_info info = {0, 0, 0, 1, 0};
     if (!again && !recover_nodes(s, x, u, x_next, nodes)) continue;
-    if (again && !(division = solve_nodes(s, x, u, NULL, 1, DP_MAX_DIVISION, nodes, &info))) return 1;
+    if (again && !(division = solve_nodes(s, x, u, NULL, 1, DP_MAX_DIVISION, nodes, &info)))
+      return 1;
     const int n = p->substeps * division;
     const double h = substep(p, division);
     begin(s, nodes, n, h, data);
@@ -332,12 +338,13 @@ static void adjoint_substep(Solver* s, const Factors* f, int k, int n, void* dat
   for (int c = 0; c < r; c++) a->gx[13 + 2 * r + c] -= (1 - share) * au[c];
 }
 
-static int adjoint(Solver* s, const double* x, const double* u, const double* x_next, const double* g_next,
-                   double* gx, double* gu) {
+static int adjoint(Solver* s, const double* x, const double* u, const double* x_next,
+                   const double* g_next, double* gx, double* gu) {
   const int r = s->parts->body.r;
   const int nx = 13 + 3 * r, nu = s->parts->nu;
   Adjoint a = {.x = x, .g_next = g_next, .gx = gx, .gu = gu};
-  int done = is_finite(g_next, nx) && !backward(s, x, u, x_next, adjoint_begin, adjoint_substep, &a);
+  int done =
+      is_finite(g_next, nx) && !backward(s, x, u, x_next, adjoint_begin, adjoint_substep, &a);
   if (done) {
     state_nodes_pull(r, x, &a.last, a.h, a.later, a.earlier, gx);
     done = is_finite(gx, nx) && is_finite(gu, nu);
@@ -346,15 +353,16 @@ static int adjoint(Solver* s, const double* x, const double* u, const double* x_
   return !done;
 }
 
-int dp_step_adj(const dp_model* m, const double* x, const double* u, const double* x_next, const double* g_next,
-                double* gx, double* gu) {
+int dp_step_adj(const dp_model* m, const double* x, const double* u, const double* x_next,
+                const double* g_next, double* gx, double* gu) {
   Parts p;
   if (parts_view(&p, m)) return 1;
   SOLVER(s, &p);
   return adjoint(&s, x, u, x_next, g_next, gx, gu);
 }
 
-int dp_rollout_adj(const dp_model* m, int N, const double* u, const double* xs, double* gxs, double* gu) {
+int dp_rollout_adj(const dp_model* m, int N, const double* u, const double* xs, double* gxs,
+                   double* gu) {
   Parts p;
   if (parts_view(&p, m)) return N;
   const int nx = 13 + 3 * p.body.r;
@@ -386,7 +394,8 @@ static void jacobian_begin(Solver* s, const Pose* nodes, int n, double h, void* 
   for (int o = 0; o < j->nx; o++) {
     double seed[MAX_STATE] = {0};
     seed[o] = 1;
-    state_pack_pull(r, nodes + n + 1, nodes + n, h, seed, j->later[o], j->earlier[o], j->B + (size_t)o * nu);
+    state_pack_pull(r, nodes + n + 1, nodes + n, h, seed, j->later[o], j->earlier[o],
+                    j->B + (size_t)o * nu);
   }
 }
 
@@ -415,13 +424,15 @@ static void jacobian_substep(Solver* s, const Factors* f, int k, int n, void* da
   }
 }
 
-int dp_step_jac(const dp_model* m, const double* x, const double* u, const double* x_next, double* A, double* B) {
+int dp_step_jac(const dp_model* m, const double* x, const double* u, const double* x_next,
+                double* A, double* B) {
   Parts p;
   if (parts_view(&p, m)) return 1;
   const int r = p.body.r, nx = 13 + 3 * r;
   SOLVER(s, &p);
   Jacobian j = {.x = x, .A = A, .B = B, .nx = nx};
   if (backward(&s, x, u, x_next, jacobian_begin, jacobian_substep, &j)) return 1;
-  for (int o = 0; o < nx; o++) state_nodes_pull(r, x, &j.last, j.h, j.later[o], j.earlier[o], A + (size_t)o * nx);
+  for (int o = 0; o < nx; o++)
+    state_nodes_pull(r, x, &j.last, j.h, j.later[o], j.earlier[o], A + (size_t)o * nx);
   return !is_finite(A, (size_t)nx * nx) || !is_finite(B, (size_t)nx * p.nu);
 }

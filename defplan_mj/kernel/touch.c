@@ -1,5 +1,6 @@
-/* Contact of the variational step. Most points are far from the terrain: only those that may touch at
- * node 2 by what nodes 0 and 1 say are looked at while it is sought, and the others once, at its end. */
+/* Contact of the variational step. Most points are far from the terrain: only those that may touch
+ * at node 2 by what nodes 0 and 1 say are looked at while it is sought, and the others once, at its
+ * end. */
 #include "path.h"
 
 static const double PER_GAP = 50, PER_LAW = 300; /* multiplications, about */
@@ -16,15 +17,17 @@ static void all_places(Path* p, Node* n) {
 }
 
 /* Gaps to a part of the terrain of n points at c + y (world), y as columns `stride` apart. */
-static void gaps_of(const Path* p, int part, const double c[3], const double* restrict y, int n, int stride,
-                    double* restrict gaps) {
+static void gaps_of(const Path* p, int part, const double c[3], const double* restrict y, int n,
+                    int stride, double* restrict gaps) {
   const Terrain* t = &p->terrain;
   const double* plane = t->geoms + TERRAIN_GEOM * part;
   *p->spent += PER_GAP * n;
   if (part < t->n_geoms && plane[0] == DP_PLANE) {
-    const double *at = plane + 4, x = plane[9], yy = plane[12], z = plane[15]; /* the normal: R e_z */
+    /* the normal: R e_z */
+    const double *at = plane + 4, x = plane[9], yy = plane[12], z = plane[15];
     const double offset = x * (c[0] - at[0]) + yy * (c[1] - at[1]) + z * (c[2] - at[2]);
-    for (int s = 0; s < n; s++) gaps[s] = x * y[s] + yy * y[stride + s] + z * y[2 * stride + s] + offset;
+    for (int s = 0; s < n; s++)
+      gaps[s] = x * y[s] + yy * y[stride + s] + z * y[2 * stride + s] + offset;
     return;
   }
   for (int s = 0; s < n; s++) {
@@ -43,8 +46,10 @@ static int is_near(const Path* p, int part, const double c[3], double radius) {
 
 static double radius_of(const double* y, int n, int stride) {
   double most = 0;
-  for (int s = 0; s < n; s++)
-    most = fmax(most, y[s] * y[s] + y[stride + s] * y[stride + s] + y[2 * stride + s] * y[2 * stride + s]);
+  for (int s = 0; s < n; s++) {
+    const double a = y[s], b = y[stride + s], c = y[2 * stride + s];
+    most = fmax(most, a * a + b * b + c * c);
+  }
   return sqrt(most);
 }
 
@@ -52,8 +57,8 @@ static void centre_of(const Path* p, const Node* n, double c[3]) {
   for (int i = 0; i < 3; i++) c[i] = p->origin[i] + n->at.c[i];
 }
 
-/* Marks points of node n that are nearer to the terrain than `reach` (per point, NULL: none) and its
- * thickness; returns how many were not marked before. */
+/* Marks points of node n that are nearer to the terrain than `reach` (per point, NULL: none) and
+ * its thickness; returns how many were not marked before. */
 static int mark(const Path* p, const Node* n, const double* reach, char* marked) {
   const Body* b = p->body;
   const double thickness = p->terrain.thickness;
@@ -88,7 +93,8 @@ static void gather(Path* p, const char* marked) {
       for (int k = 0; k < mp; k++) to[k] = k < n ? from[p->near[k]] : 0;
     }
   for (int i = 0; i < 3; i++)
-    for (int k = 0; k < mp; k++) p->near_y1[i * mp + k] = k < n ? p->n1->touch[i * nc + p->near[k]] : 0;
+    for (int k = 0; k < mp; k++)
+      p->near_y1[i * mp + k] = k < n ? p->n1->touch[i * nc + p->near[k]] : 0;
   if (!n) return;
   *p->spent += 3. * mp * b->kp * (1 + r);
   double local[DP_MAX_MODES * 3 * DP_MAX_CONTACTS];
@@ -107,7 +113,8 @@ void touch_prepare(Path* p) {
   for (int s = 0; s < b->n_contacts; s++) {
     double went = 0;
     for (int i = 0; i < 3; i++) {
-      const double d = p->n1->at.c[i] - p->n0->at.c[i] + p->n1->touch[i * nc + s] - p->n0->touch[i * nc + s];
+      const double d =
+          p->n1->at.c[i] - p->n0->at.c[i] + p->n1->touch[i * nc + s] - p->n0->touch[i * nc + s];
       went += d * d;
     }
     reach[s] = 1.25 * sqrt(went) + p->terrain.thickness;
@@ -157,7 +164,8 @@ void touch_forces(Path* p) {
         v[i] = (p->n2->at.c[i] - p->n1->at.c[i] + y[i * mp + k] - p->near_y1[i * mp + k]) * ih;
       }
       *p->spent += PER_LAW;
-      contact_law(t, t->friction, part, x, v, f, p->touch_D + 9 * slot[k], p->touch_F + 9 * slot[k]);
+      contact_law(t, t->friction, part, x, v, f, p->touch_D + 9 * slot[k],
+                  p->touch_F + 9 * slot[k]);
       for (int i = 0; i < 3; i++) p->near_f[i * mp + k] += f[i];
     }
   }

@@ -4,13 +4,14 @@
  *   J_1^T M (p2 - 2 p1 + p0)/h^2 + K [(1 + k_c)(q0 + 2 q1 + q2)/4 - k_c u + b (q2 - q0)/2h]
  *     - J_1^T [(F_01 + F_12)/2 + F_contact(p2, (p2 - p1)/h) + gravity + F_feet] - righting(R1) = 0,
  *
- * J_1 the tangent at x1. The inertia that is projected there, and not at x2, is what conserves linear and
- * angular momentum (discrete Noether), and what makes the step second order. F_12 takes the area vectors
- * extrapolated, (3 a1 - a0)/2, F_01 their mean: second order, and no derivative of them in the matrix.
+ * J_1 the tangent at x1. The inertia that is projected there, and not at x2, is what conserves
+ * linear and angular momentum (discrete Noether), and what makes the step second order. F_12 takes
+ * the area vectors extrapolated, (3 a1 - a0)/2, F_01 their mean: second order, and no derivative of
+ * them in the matrix.
  *
- * It is solved by a Newton method whose matrix is that at x1, and after its first step that of where it led
- * (drag and contact with the tangent at x1), improved by Broyden's updates; contact's part is renewed where
- * it changes. Where that fails: the exact matrix at every iterate. */
+ * It is solved by a Newton method whose matrix is that at x1, and after its first step that of
+ * where it led (drag and contact with the tangent at x1), improved by Broyden's updates; contact's
+ * part is renewed where it changes. Where that fails: the exact matrix at every iterate. */
 #include "path.h"
 
 enum { QUASI_NEWTON = 30, HALVINGS = 6 };
@@ -63,7 +64,8 @@ static void feet_forces(Path* p) {
 void path_prepare(Path* p) {
   const Body* b = p->body;
   const int r = b->r, kp = b->kp, np = b->np;
-  const double ih2 = 1 / (p->h * p->h), *par = p->par, kc = par[DP_CONTROL], beta = par[DP_DAMPING] / (2 * p->h);
+  const double ih2 = 1 / (p->h * p->h), *par = p->par;
+  const double kc = par[DP_CONTROL], beta = par[DP_DAMPING] / (2 * p->h);
   const Node *n0 = p->n0, *n1 = p->n1;
   double* g = p->base;
   memset(g, 0, sizeof p->base);
@@ -118,7 +120,8 @@ void path_residual(Path* p) {
 static void move(Path* p, const Pose* from, const double* step, double alpha, int what) {
   Pose to = {{0}, {0}, {0}};
   double turn[3], dq[4];
-  for (int i = 0; i < 3; i++) to.c[i] = from->c[i] - alpha * step[i], turn[i] = -alpha * step[3 + i];
+  for (int i = 0; i < 3; i++)
+    to.c[i] = from->c[i] - alpha * step[i], turn[i] = -alpha * step[3 + i];
   quat_exp(turn, dq);
   quat_mul(dq, from->quat, to.quat);
   quat_normalize(to.quat);
@@ -139,7 +142,7 @@ static void go_on(const Path* p, Pose* guess) {
   for (int c = 0; c < p->body->r; c++) guess->q[c] = 2 * x1->q[c] - x0->q[c];
 }
 
-/* The matrix without contact, inertia by the tangent at node b, drag by the iterate's places and forces. */
+/* The matrix without contact: inertia with the tangent at node b, drag at the iterate's places. */
 static void free_matrix(Path* p, const Node* b, double* H) {
   memset(H, 0, sizeof p->H);
   inertia_matrix(p, b, H);
@@ -148,8 +151,8 @@ static void free_matrix(Path* p, const Node* b, double* H) {
   drag_matrix(p, p->n2->y, p->n1->Jq, H);
 }
 
-/* Newton with the matrix at node 1 for the first step, then that of where it led, and Broyden's updates of
- * it; 1 if it converged. */
+/* Newton with the matrix at node 1 for the first step, then that of where it led, and Broyden's
+ * updates of it; 1 if it converged. */
 static int quasi_newton(Path* p, const Pose* guess, dp_info* info) {
   const int n = 6 + p->body->r;
   const double tolerance = p->par[DP_TOLERANCE] * p->par[DP_TOLERANCE];
@@ -231,7 +234,7 @@ static int newton(Path* p, const Pose* guess, dp_info* info) {
     info->residual = largest;
     if (!(largest < 1e100)) return 0;
     const Pose from = p->n2->at;
-    if (largest < p->par[DP_TOLERANCE]) { /* quadratic convergence: after this step nothing is left */
+    if (largest < p->par[DP_TOLERANCE]) { /* quadratic convergence: nothing is left after it */
       move(p, &from, step, 1, PLACES);
       return 1;
     }

@@ -1,14 +1,14 @@
-/* Exact derivatives of the variational step's equations g(x0, x1, x2, u) by nodes 0 and 1 and by the
- * input; variational_matrix.c has those by node 2.
+/* Exact derivatives of the variational step's equations g(x0, x1, x2, u) by nodes 0 and 1 and by
+ * the input; variational_matrix.c has those by node 2.
  *
  * For a vector lambda over the equations take the scalar L = lambda . g, with the motion
  * w = lambda_c + lambda_t x y1 + bend, bend = R1 B dz1 lambda_q, of a point at node 1 along lambda,
  *
- *   L = sum_v m w.(p2 - 2 p1 + p0)/h^2 - sum_s w.(F_01 + F_12)/2 - sum_s w.F_contact - sum_s w.f_feet
+ *   L = sum_v m w.(p2 - 2 p1 + p0)/h^2 - sum_s w.[(F_01 + F_12)/2 + F_contact + f_feet]
  *     + lambda_q . K [...] - lambda_t . righting,
  *
- * and differentiate it by places, area vectors and w; gradients by zeta go on to q by dz, and w's own
- * derivative by q through dz1 is the curvature. docs/kernel.md goes through it term by term. */
+ * and differentiate it by places, area vectors and w; gradients by zeta go on to q by dz, and w's
+ * own derivative by q through dz1 is the curvature. docs/kernel.md goes through it term by term. */
 #include "path.h"
 
 /* --- what all lambda share: the curvature sum_a gz_a d2 zeta_a / dq2 */
@@ -92,8 +92,9 @@ static void inertia_by_0(const Path* p, const Along* l, double* a0, double* gz0)
   moments_contract(1, n0->R, p->along_T, kp, gz0);
 }
 
-/* L = lambda_t . sum m y1 x Y + sum m bend.(Y - 2 y1), over h^2, with Y = y2 + y0, by node 1: turns of
- * y1 and of bend; zeta_1 in y1, (R1 Phi_a).(Y x lambda_t), and in bend.y1 = zeta's own product */
+/* L = lambda_t . sum m y1 x Y + sum m bend.(Y - 2 y1), over h^2, with Y = y2 + y0, by node 1: turns
+ * of y1 and of bend; zeta_1 in y1, (R1 Phi_a).(Y x lambda_t), and in bend.y1 = zeta's own
+ * product */
 static void inertia_by_1(Path* p, const Along* l, double* a1, double* gz1) {
   const Body* b = p->body;
   const Node* n1 = p->n1;
@@ -156,7 +157,9 @@ static void drag_by_motion(Path* p, const Along* l, double* a1, double* gz1) {
       y[i] = n1->y[i * np + s], F[i] = p->mean_f[i * np + s], bend[i] = p->bend[i * np + s];
     }
     cross3(l->t, y, x), cross3(l->t, F, gw);
-    for (int i = 0; i < 3; i++) p->w[i * np + s] = l->c[i] + x[i] + bend[i], p->gw[i * np + s] = gw[i];
+    for (int i = 0; i < 3; i++) {
+      p->w[i * np + s] = l->c[i] + x[i] + bend[i], p->gw[i * np + s] = gw[i];
+    }
     motion_by_turn(l->t, y, bend, F, by_turn);
   }
   for (int i = 0; i < 3; i++) a1[3 + i] += by_turn[i];
@@ -164,7 +167,7 @@ static void drag_by_motion(Path* p, const Along* l, double* a1, double* gz1) {
   field_transpose(b, b->points, p->gw_local, np, gz1);
 }
 
-/* L = -w . F/2 of an interval by its places (gp: later end, minus it the earlier) and area vectors */
+/* L = -w . F/2 of an interval by places (gp: its later end, minus it the earlier) and areas */
 static void drag_by_interval(const Path* p, const Node* from, const Node* to, const double* area,
                              const double* D, double* gp, double* ga) {
   double dc[3];
@@ -212,8 +215,8 @@ static void point_pull(const Path* p, const double* field, int stride, int s, co
     for (int i = 0; i < 3; i++) gz1[a] += field[((size_t)3 * a + i) * stride + s] * back[i];
 }
 
-/* L = -w . F_contact(p2, (p2 - p1)/h): through w, and through p1 in the velocity, dL/dp1 = -F^T w / h
- * (that by p2 is in the matrix) */
+/* L = -w . F_contact(p2, (p2 - p1)/h): through w, and through p1 in the velocity,
+ * dL/dp1 = -F^T w / h (that by p2 is in the matrix) */
 static void contact_by_1(const Path* p, const Along* l, double* a1, double* gz1) {
   const int mp = p->mp;
   for (int k = 0; k < p->m; k++) {

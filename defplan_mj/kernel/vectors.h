@@ -1,11 +1,12 @@
-/* Loops over whole vectors of numbers, which fill a machine's vector registers, and where such vectors
- * lie in memory. Points and forces are structures of arrays: x of all, then y, then z. */
+/* Loops over whole vectors of numbers, which fill a machine's vector registers, and where such
+ * vectors lie in memory. Points and forces are structures of arrays: x of all, then y, then z. */
 #ifndef DEFPLAN_VECTORS_H
 #define DEFPLAN_VECTORS_H
 #include "internal.h"
 
-/* Memory that vectors are taken from, one after the other, each on a boundary of PAD doubles. Without
- * memory (NULL) nothing is given out and only counted: the same lines lay out and measure. */
+/* Memory that vectors are taken from, one after the other, each on a boundary of PAD doubles.
+ * Without memory (NULL) nothing is given out and only counted: the same lines lay out and
+ * measure. */
 typedef struct {
   double* memory;
   size_t used;
@@ -19,49 +20,55 @@ static inline double* take(Arena* arena, size_t n) {
 static inline double* aligned(double* memory) { return (double*)(((size_t)memory + 63) / 64 * 64); }
 
 /* --- out (m x n) = A B: A_ik = a[i row + k col], B (inner x n) and out with rows n apart, n a
- * multiple of 8. Sums are kept in registers (six rows of eight columns fill the sixteen that AVX2 and
- * most others have): this is where a step spends its time. */
+ * multiple of 8. Sums are kept in registers (six rows of eight columns fill the sixteen that AVX2
+ * and most others have): this is where a step spends its time. */
 enum { LANES = 4 };
 typedef double Vec __attribute__((vector_size(8 * LANES), may_alias));
-typedef double AnyVec __attribute__((vector_size(8 * LANES), may_alias, aligned(8))); /* anywhere in memory */
+typedef double AnyVec
+    __attribute__((vector_size(8 * LANES), may_alias, aligned(8))); /* anywhere in memory */
 
-static inline __attribute__((always_inline)) void multiply_block(int rows, const double* a, int row, int col,
-                                                                 const double* b, int inner, int n,
-                                                                 double* out) {
+static inline __attribute__((always_inline)) void multiply_block(int rows, const double* a, int row,
+                                                                 int col, const double* b,
+                                                                 int inner, int n, double* out) {
   Vec sums[6][2];
   for (int i = 0; i < rows; i++) sums[i][0] = sums[i][1] = (Vec){0};
   for (int k = 0; k < inner; k++) {
-    const Vec left = *(const AnyVec*)(b + (size_t)k * n), right = *(const AnyVec*)(b + (size_t)k * n + LANES);
+    const Vec left = *(const AnyVec*)(b + (size_t)k * n),
+              right = *(const AnyVec*)(b + (size_t)k * n + LANES);
     for (int i = 0; i < rows; i++) {
       const double factor = a[(size_t)i * row + (size_t)k * col];
       sums[i][0] += factor * left, sums[i][1] += factor * right;
     }
   }
   for (int i = 0; i < rows; i++) {
-    *(AnyVec*)(out + (size_t)i * n) = sums[i][0], *(AnyVec*)(out + (size_t)i * n + LANES) = sums[i][1];
+    *(AnyVec*)(out + (size_t)i * n) = sums[i][0],
+                                 *(AnyVec*)(out + (size_t)i * n + LANES) = sums[i][1];
   }
 }
 /* One row: four blocks of columns at once, so that the sums do not wait for each other. */
-static inline void multiply_row(const double* a, int col, const double* b, int inner, int n, double* out) {
+static inline void multiply_row(const double* a, int col, const double* b, int inner, int n,
+                                double* out) {
   int j = 0;
   for (; j + 32 <= n; j += 32) {
     Vec sums[8];
     for (int v = 0; v < 8; v++) sums[v] = (Vec){0};
     for (int k = 0; k < inner; k++) {
       const double factor = a[(size_t)k * col];
-      for (int v = 0; v < 8; v++) sums[v] += factor * *(const AnyVec*)(b + (size_t)k * n + j + LANES * v);
+      for (int v = 0; v < 8; v++)
+        sums[v] += factor * *(const AnyVec*)(b + (size_t)k * n + j + LANES * v);
     }
     for (int v = 0; v < 8; v++) *(AnyVec*)(out + j + LANES * v) = sums[v];
   }
   for (; j < n; j += 8) multiply_block(1, a, 0, col, b + j, inner, n, out + j);
 }
-static inline void multiply(int m, const double* a, int row, int col, const double* b, int inner, int n,
-                            double* out) {
+static inline void multiply(int m, const double* a, int row, int col, const double* b, int inner,
+                            int n, double* out) {
   if (m == 1) {
     multiply_row(a, col, b, inner, n, out);
     return;
   }
-  for (int j = 0; j < n; j += 8) /* columns outside: those of B stay near while the rows of A pass */
+  for (int j = 0; j < n;
+       j += 8) /* columns outside: those of B stay near while the rows of A pass */
     for (int i = 0, rows; i < m; i += rows) {
       const double *A = a + (size_t)i * row, *B = b + j;
       double* o = out + (size_t)i * n + j;
@@ -74,9 +81,11 @@ static inline void multiply(int m, const double* a, int row, int col, const doub
     }
 }
 
-/* out[i stride + j] += a_i . b_j for rows a_i (m) and b_j (n) of `length` numbers, a multiple of 8. */
-static inline __attribute__((always_inline)) void products_block(int rows, const double* a, const double* b,
-                                                                 int length, double* out, int stride) {
+/* out[i stride + j] += a_i . b_j for rows a_i (m) and b_j (n) of `length` numbers, a multiple of
+ * 8. */
+static inline __attribute__((always_inline)) void products_block(int rows, const double* a,
+                                                                 const double* b, int length,
+                                                                 double* out, int stride) {
   Vec sums[2][4];
   for (int i = 0; i < rows; i++)
     for (int j = 0; j < 4; j++) sums[i][j] = (Vec){0};
@@ -89,7 +98,8 @@ static inline __attribute__((always_inline)) void products_block(int rows, const
     for (int j = 0; j < 4; j++)
       for (int lane = 0; lane < LANES; lane++) out[i * stride + j] += sums[i][j][lane];
 }
-static inline void products(const double* a, int m, const double* b, int n, int length, double* out, int stride) {
+static inline void products(const double* a, int m, const double* b, int n, int length, double* out,
+                            int stride) {
   int i = 0;
   for (; i < m; i += 2) {
     const int rows = m - i < 2 ? 1 : 2;
@@ -117,7 +127,8 @@ static inline void rotate(const double* R, const double* restrict in, int n, dou
     for (int s = 0; s < n; s++) out[i * n + s] = a * in[s] + b * in[n + s] + c * in[2 * n + s];
   }
 }
-static inline void rotate_back(const double* R, const double* restrict in, int n, double* restrict out) {
+static inline void rotate_back(const double* R, const double* restrict in, int n,
+                               double* restrict out) {
   for (int i = 0; i < 3; i++) {
     const double a = R[i], b = R[3 + i], c = R[6 + i];
     for (int s = 0; s < n; s++) out[i * n + s] = a * in[s] + b * in[n + s] + c * in[2 * n + s];
@@ -140,7 +151,8 @@ static inline double largest_of(const double* a, int n) {
   return s;
 }
 /* sum over points of a x b */
-static inline void sum_cross(const double* restrict a, const double* restrict b, int n, double* out) {
+static inline void sum_cross(const double* restrict a, const double* restrict b, int n,
+                             double* out) {
   double x = 0, y = 0, z = 0;
   for (int s = 0; s < n; s++) {
     x += a[n + s] * b[2 * n + s] - a[2 * n + s] * b[n + s];
