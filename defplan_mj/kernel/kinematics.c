@@ -226,14 +226,8 @@ void field_apply(const Body* b, const double* field, int m, const double* zeta, 
   multiply(m, zeta, b->kp, 1, field, b->k + 1, 3 * n, out);
 }
 
-void field_transpose(const Body* b, const double* field, const double* restrict v, int n,
-                     double* restrict out) {
-  for (int a = 0; a <= b->k; a++) {
-    const double* restrict row = field + (size_t)a * 3 * n;
-    double s = 0;
-    for (int i = 0; i < 3 * n; i++) s += row[i] * v[i];
-    out[a] += s;
-  }
+void field_transpose(const Body* b, const double* field, const double* v, int n, double* out) {
+  products(v, 1, field, b->k + 1, 3 * n, out, 1);
 }
 
 void places_pull(const Body* b, const double* field, const double* R, const double* y,
