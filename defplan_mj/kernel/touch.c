@@ -133,10 +133,31 @@ int touch_missed(Path* p) {
   return 1;
 }
 
+/* Force of a part of the terrain on near point k at node 2, c its centre (world), with the velocity
+ * of the interval; `slot` is where its D and F are, -1 if it has none yet. */
+static void touch_point(Path* p, int part, int k, const double* c, int* slot) {
+  const Terrain* t = &p->terrain;
+  const int mp = p->mp;
+  const double ih = 1 / p->h, *y1 = p->near_y1, *y2 = p->near_y2;
+  double x[3], v[3], f[3] = {0};
+  if (*slot < 0) {
+    *slot = p->m, p->which[p->m++] = k;
+    memset(p->touch_D + 9 * *slot, 0, 9 * sizeof(double));
+    memset(p->touch_F + 9 * *slot, 0, 9 * sizeof(double));
+  }
+  for (int i = 0; i < 3; i++) {
+    const int at = i * mp + k;
+    x[i] = c[i] + y2[at];
+    v[i] = (p->n2->at.c[i] - p->n1->at.c[i] + y2[at] - y1[at]) * ih;
+  }
+  *p->spent += PER_LAW;
+  contact_law(t, t->friction, part, x, v, f, p->touch_D + 9 * *slot, p->touch_F + 9 * *slot);
+  for (int i = 0; i < 3; i++) p->near_f[i * mp + k] += f[i];
+}
+
 void touch_forces(Path* p) {
   const int mp = p->mp, n = p->n_near;
-  const Terrain* t = &p->terrain;
-  const double ih = 1 / p->h, *y = p->near_y2;
+  const double thickness = p->terrain.thickness, ih = 1 / p->h;
   double c[3], local[3 * DP_MAX_CONTACTS], gaps[DP_MAX_CONTACTS];
   int slot[DP_MAX_CONTACTS];
   p->m = 0;
@@ -145,29 +166,14 @@ void touch_forces(Path* p) {
   field_apply(p->body, p->near_field, 1, p->n2->zeta, mp, local);
   rotate(p->n2->R, local, mp, p->near_y2);
   memset(p->near_f, 0, 3 * mp * sizeof(double));
-  centre_of(p, p->n2, c);
   for (int k = 0; k < n; k++) slot[k] = -1;
-  const double radius = radius_of(y, n, mp) + t->thickness;
-  for (int part = 0; part < terrain_parts(t); part++) {
+  centre_of(p, p->n2, c);
+  const double radius = radius_of(p->near_y2, n, mp) + thickness;
+  for (int part = 0; part < terrain_parts(&p->terrain); part++) {
     if (!is_near(p, part, c, radius)) continue;
-    gaps_of(p, part, c, y, n, mp, gaps);
-    for (int k = 0; k < n; k++) {
-      if (gaps[k] >= t->thickness) continue;
-      if (slot[k] < 0) {
-        slot[k] = p->m, p->which[p->m++] = k;
-        memset(p->touch_D + 9 * slot[k], 0, 9 * sizeof(double));
-        memset(p->touch_F + 9 * slot[k], 0, 9 * sizeof(double));
-      }
-      double x[3], v[3], f[3] = {0};
-      for (int i = 0; i < 3; i++) {
-        x[i] = c[i] + y[i * mp + k];
-        v[i] = (p->n2->at.c[i] - p->n1->at.c[i] + y[i * mp + k] - p->near_y1[i * mp + k]) * ih;
-      }
-      *p->spent += PER_LAW;
-      contact_law(t, t->friction, part, x, v, f, p->touch_D + 9 * slot[k],
-                  p->touch_F + 9 * slot[k]);
-      for (int i = 0; i < 3; i++) p->near_f[i * mp + k] += f[i];
-    }
+    gaps_of(p, part, c, p->near_y2, n, mp, gaps);
+    for (int k = 0; k < n; k++)
+      if (!(gaps[k] >= thickness)) touch_point(p, part, k, c, slot + k);
   }
   for (int k = 0; k < 9 * p->m; k++) p->touch_D[k] += ih * p->touch_F[k];
 }

@@ -151,104 +151,114 @@ static void free_matrix(Path* p, const Node* b, double* H) {
   drag_matrix(p, p->n2->y, p->n1->Jq, H);
 }
 
-/* Newton with the matrix at node 1 for the first step, then that of where it led, and Broyden's
- * updates of it; 1 if it converged. */
-static int quasi_newton(Path* p, const Pose* guess, dp_info* info) {
-  const int n = 6 + p->body->r;
-  const double tolerance = p->par[DP_TOLERANCE] * p->par[DP_TOLERANCE];
-  double free[MAX_N * MAX_N], steps[QUASI_NEWTON + 1][MAX_N], size2[QUASI_NEWTON + 1], next[MAX_N];
+/* The inverse of a matrix: its factors and Broyden's rank-one updates of it, made of the last steps
+ * (the next one is steps[kept]). */
+typedef struct {
   Factors f;
-  node_set(p, p->n2, guess, PLACES);
-  free_matrix(p, p->n1, free);
-  path_residual(p);
-  int kept = 0; /* updates */
-  double before = 0;
-  for (int k = 0, fresh = 1, first = 1; k < QUASI_NEWTON && *p->spent < DP_MAX_WORK; k++) {
-    info->iterations++;
-    if (fresh) {
-      memcpy(p->H, free, sizeof(double) * n * n);
-      if (p->m) touch_matrix(p, 0, p->H);
-      if (!factorise(&f, p->H, n, 0)) return 0;
-      solve(&f, p->g, steps[0]);
-      kept = 0, fresh = 0;
-    }
-    double* z = steps[kept];
-    const double largest = largest_of(z, n), turn = largest_of(z + 3, n - 3);
-    info->residual = largest;
-    if (!(largest < 1e100)) return 0;
-    const Pose from = p->n2->at;
-    const double rate = before > 0 ? fmin(1, largest / before) : 1;
-    if (largest * rate < tolerance) { /* after this step nothing is left */
-      move(p, &from, z, 1, PLACES);
-      return 1;
-    }
-    double alpha = turn > MAX_TURN ? MAX_TURN / turn : 1, moved = INFINITY;
-    const double size = inner(z, z, n);
-    size2[kept] = size;
-    for (int halvings = 0;; halvings++) {
-      move(p, &from, z, alpha, first ? TANGENT : PLACES);
-      path_residual(p);
-      solve(&f, p->g, next);
-      for (int j = 0; j < kept; j++) { /* earlier updates */
-        const double share = inner(steps[j], next, n) / size2[j];
-        for (int i = 0; i < n; i++) next[i] += share * steps[j + 1][i];
-      }
-      moved = inner(next, next, n);
-      const double reduced = 1 - .25 * alpha;
-      if (moved <= reduced * reduced * size) break;
-      if (halvings == HALVINGS) return 0;
-      alpha *= .5;
-    }
-    before = largest;
-    if (first) {
-      free_matrix(p, p->n2, free);
-      first = 0, fresh = 1;
-      continue;
-    }
-    if (alpha < 1 || (p->m && moved > .01 * size)) { /* far from linear: renew the matrix here */
-      fresh = 1;
-      continue;
-    }
-    const double along = 1 - inner(z, next, n) / size; /* Broyden's update by this step */
-    if (!(along > .1)) { fresh = 1; continue; }
-    kept++;
-    for (int i = 0; i < n; i++) steps[kept][i] = next[i] / along;
+  int n, kept; /* unknowns; updates */
+  double steps[QUASI_NEWTON + 1][MAX_N];
+  double size2[QUASI_NEWTON + 1]; /* |step|^2 */
+} Inverse;
+
+/* Start anew from p->H, with the step that it gives; 0 if it is singular. */
+static int inverse_begin(Inverse* v, const Path* p) {
+  v->n = 6 + p->body->r, v->kept = 0;
+  if (!factorise(&v->f, p->H, v->n, 0)) return 0;
+  solve(&v->f, p->g, v->steps[0]);
+  v->size2[0] = inner(v->steps[0], v->steps[0], v->n);
+  return 1;
+}
+
+/* next = inverse g */
+static void inverse_apply(const Inverse* v, const double* g, double* next) {
+  solve(&v->f, g, next);
+  for (int j = 0; j < v->kept; j++) {
+    const double share = inner(v->steps[j], next, v->n) / v->size2[j];
+    for (int i = 0; i < v->n; i++) next[i] += share * v->steps[j + 1][i];
+  }
+}
+
+/* Broyden's update by a whole step that left `next`; 0 if that is too far from linear. */
+static int inverse_update(Inverse* v, const double* next) {
+  const double along = 1 - inner(v->steps[v->kept], next, v->n) / v->size2[v->kept];
+  if (!(along > .1)) return 0;
+  double* step = v->steps[++v->kept];
+  for (int i = 0; i < v->n; i++) step[i] = next[i] / along;
+  v->size2[v->kept] = inner(step, step, v->n);
+  return 1;
+}
+
+/* Move by as much of the step as makes the next one, with the same inverse, shorter (Deuflhard's
+ * natural monotonicity test); returns the share of it, 0 if none does. */
+static double search(Path* p, const Inverse* v, int what, double* next) {
+  const Pose from = p->n2->at;
+  const double *step = v->steps[v->kept], turn = largest_of(step + 3, v->n - 3);
+  double alpha = turn > MAX_TURN ? MAX_TURN / turn : 1;
+  for (int halvings = 0; halvings <= HALVINGS; halvings++, alpha *= .5) {
+    move(p, &from, step, alpha, what);
+    path_residual(p);
+    inverse_apply(v, p->g, next);
+    const double reduced = 1 - .25 * alpha;
+    if (inner(next, next, v->n) <= reduced * reduced * v->size2[v->kept]) return alpha;
   }
   return 0;
 }
 
-/* Newton with the exact matrix; a step is taken if the next one, with the same factors, is shorter
- * (Deuflhard's natural monotonicity test). */
+/* The last step, after which nothing is left. */
+static int finish(Path* p, const Inverse* v) {
+  const Pose from = p->n2->at;
+  move(p, &from, v->steps[v->kept], 1, PLACES);
+  return 1;
+}
+
+/* Newton with the matrix at node 1 for the first step, then that of where it led, and Broyden's
+ * updates of it; the matrix is made anew, with contact as it is, where that is far from linear. 1
+ * if it converged: the rate of convergence tells what a step will leave, which is held against the
+ * tolerance squared. */
+static int quasi_newton(Path* p, const Pose* guess, dp_info* info) {
+  const int n = 6 + p->body->r;
+  const double tolerance = p->par[DP_TOLERANCE] * p->par[DP_TOLERANCE];
+  double free[MAX_N * MAX_N], next[MAX_N], before = 0;
+  Inverse v;
+  node_set(p, p->n2, guess, PLACES);
+  free_matrix(p, p->n1, free);
+  path_residual(p);
+  for (int k = 0, fresh = 1; k < QUASI_NEWTON && *p->spent < DP_MAX_WORK; k++) {
+    info->iterations++;
+    if (fresh) {
+      memcpy(p->H, free, sizeof(double) * n * n);
+      if (p->m) touch_matrix(p, 0, p->H);
+      if (!inverse_begin(&v, p)) return 0;
+    }
+    const double largest = info->residual = largest_of(v.steps[v.kept], n);
+    if (!(largest < 1e100)) return 0;
+    const double rate = before > 0 ? fmin(1, largest / before) : 1;
+    if (largest * rate < tolerance) return finish(p, &v);
+    const double alpha = search(p, &v, k ? PLACES : TANGENT, next);
+    if (alpha == 0) return 0;
+    before = largest;
+    if (k == 0) free_matrix(p, p->n2, free);
+    const int far = alpha < 1 || (p->m && inner(next, next, n) > .01 * v.size2[v.kept]);
+    fresh = k == 0 || far || !inverse_update(&v, next);
+  }
+  return 0;
+}
+
+/* Newton with the exact matrix; 1 if it converged. */
 static int newton(Path* p, const Pose* guess, dp_info* info) {
   const int n = 6 + p->body->r, limit = (int)fmin(p->par[DP_MAX_NEWTON], 1000);
-  double step[MAX_N], next[MAX_N];
-  Factors f;
+  double next[MAX_N];
+  Inverse v;
   node_set(p, p->n2, guess, TANGENT | DRAG_TANGENT);
   path_residual(p);
   for (int k = 0; k < limit && *p->spent < DP_MAX_WORK; k++) {
     info->iterations++;
     variational_matrix(p);
-    if (!factorise(&f, p->H, n, 0)) return 0;
-    solve(&f, p->g, step);
-    const double largest = largest_of(step, n), turn = largest_of(step + 3, n - 3);
-    info->residual = largest;
-    if (!(largest < 1e100)) return 0;
-    const Pose from = p->n2->at;
-    if (largest < p->par[DP_TOLERANCE]) { /* quadratic convergence: nothing is left after it */
-      move(p, &from, step, 1, PLACES);
-      return 1;
-    }
-    double alpha = turn > MAX_TURN ? MAX_TURN / turn : 1;
-    const double size = inner(step, step, n);
-    for (int halvings = 0;; halvings++) {
-      move(p, &from, step, alpha, TANGENT | DRAG_TANGENT);
-      path_residual(p);
-      solve(&f, p->g, next);
-      const double reduced = 1 - .25 * alpha;
-      if (inner(next, next, n) <= reduced * reduced * size) break;
-      if (halvings == HALVINGS) return 0;
-      alpha *= .5;
-    }
+    if (!inverse_begin(&v, p)) return 0;
+    info->residual = largest_of(v.steps[0], n);
+    if (!(info->residual < 1e100)) return 0;
+    if (info->residual < p->par[DP_TOLERANCE]) return finish(p, &v); /* quadratic */
+    if (search(p, &v, TANGENT | DRAG_TANGENT, next) == 0) return 0;
   }
   return 0;
 }
