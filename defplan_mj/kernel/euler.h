@@ -45,9 +45,9 @@ typedef struct {
   /* forces on feet */
   double *feet_y, *feet_f, *feet_Jq; /* 3 nf, 3 nf, r x 3 nf */
 
-  /* contact: all points that can touch, at `one`, where friction takes its normal forces from
-   * (`reference`, or NULL: from the iterate), now; in body axes */
-  double *touch_before, *touch_lagged, *touch_now, *touch_local; /* 3 nc, from 0 (world) */
+  /* contact: where all points that can touch were, are, and were when friction took its normal
+   * forces (`reference`: touch_lagged, or NULL: it takes them from the iterate), 3 nc, world */
+  double *touch_before, *touch_now, *touch_lagged, *touch_local; /* the last: body axes */
   const double* reference;
   double friction; /* coefficient now */
   /* and what touches at the iterate, m of them padded to mp */
@@ -56,7 +56,8 @@ typedef struct {
   double *touch_D, *touch_F;                          /* m x 9: -df/dp in all, -df/dv */
 
   /* derivatives: motion along lambda, and gradients */
-  double *along, *along_P, *along_T;            /* kp: zeta; 9 x kp: its moments; T */
+  double *along, *along_T;                      /* kp: zeta; 9 x kp: T of euler_derivatives.c */
+  double *now_P, *along_P;                      /* 9 x kp: moments of the iterate, of `along` */
   double *along_local, *along_y, *gp, *ga;      /* 3 np: body axes; world; by places, by areas */
   double* pull_local;                           /* 3 x 3 np */
 } Work;

@@ -23,8 +23,8 @@ static void moments_along(Work* w, const double* lambda) {
   double turned[9];
   skew_mul(lambda + 3, w->now.R, turned);
   memset(w->along_T, 0, sizeof(double) * 9 * b->kp);
-  moments_apply(b, 1, w->now.zeta, w->along_P);
-  moments_turn(ih2, turned, w->along_P, b->kp, w->along_T);
+  moments_apply(b, 1, w->now.zeta, w->now_P);
+  moments_turn(ih2, turned, w->now_P, b->kp, w->along_T);
   moments_apply(b, 1, w->along, w->along_P);
   moments_turn(ih2, w->now.R, w->along_P, b->kp, w->along_T);
 }

@@ -33,7 +33,8 @@ size_t work_lay(Work* w, const Parts* parts, double* memory) {
   w->touch_field = take(a, kp * 3 * nc), w->touch_y = take(a, 3 * nc);
   w->touch_f = take(a, 3 * nc), w->touch_Jq = take(a, r * 3 * nc);
   w->touch_D = take(a, 9 * nc), w->touch_F = take(a, 9 * nc);
-  w->along = take(a, kp), w->along_P = take(a, 9 * kp), w->along_T = take(a, 9 * kp);
+  w->along = take(a, kp), w->along_T = take(a, 9 * kp);
+  w->now_P = take(a, 9 * kp), w->along_P = take(a, 9 * kp);
   w->along_local = take(a, 3 * np), w->along_y = take(a, 3 * np);
   w->gp = take(a, 3 * np), w->ga = take(a, 3 * np), w->pull_local = take(a, 9 * np);
   return arena.used;
