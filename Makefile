@@ -16,7 +16,7 @@ help:
 	@echo "make test-full  all tests"
 	@echo "make sanitize   the tests of the C code, built with address and undefined-behaviour sanitizers"
 	@echo "make bench      time what the README's tables state"
-	@echo "make lint       ruff, mypy, and which package may import which"
+	@echo "make lint       ruff, mypy, which package may import which, lines of C within 100 columns"
 	@echo "make clean      remove what was built (not .venv, not logs)"
 
 setup: $(READY)
@@ -56,6 +56,8 @@ lint: $(READY)
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy $(LINTED)
 	$(VENV)/bin/lint-imports
+	@awk 'length > 100 { print FILENAME ":" FNR ": more than 100 columns"; long = 1 } \
+	  END { exit long }' defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch]
 
 # The libraries are built first and by themselves, so that a missing compiler is one sentence.
 $(READY): $(SOURCES) | $(PYTHON)

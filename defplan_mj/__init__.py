@@ -7,6 +7,6 @@ __version__ = "0.1.0"
 # dm_control tries GLFW on import, even where nothing will be drawn; without a screen it says so.
 warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing")
 
-from defplan_mj.rl.register import register_all  # noqa: E402  after the filter
+from defplan_mj.rl.register import register_with_gymnasium  # noqa: E402  after the filter
 
-register_all()  # ids for gymnasium.make; imports Gymnasium, no task
+register_with_gymnasium()  # ids for gymnasium.make; it is not imported for that

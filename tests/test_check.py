@@ -11,10 +11,12 @@ import pytest
 
 from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.body.build import build_body
 from defplan_mj.cli import main
 from defplan_mj.gait.gait import Gait
 from defplan_mj.planning.robot import Robot
-from defplan_mj.studies import check
+from defplan_mj.studies import check, finer_bodies
+from defplan_mj.task import BodyOptions
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +50,19 @@ def test_a_gait_moves_the_reduced_body_as_the_full_one(small_fish, wag):
     assert abs(row["turn_rad"]["full"] - row["turn_rad"]["reduced"]) < 0.05
     assert data["falls_refined"] == 0
     assert data["drag_force_error"] == small_fish.source["drag"]["error"]
+
+
+def test_a_body_reduced_less_is_asked_for_the_same_shapes(small_fish, wag):
+    """More modes come with other signs; what they are asked for is the same place of every vertex."""
+    options = BodyOptions(vertices=300, modes=5, basis=20, samples=16, drag_points=40)
+    mesh = registry.get_task("fish-swim").mesh
+    fine = build_body(mesh, finer_bodies.finer_options(options)["modes"])
+    assert fine.n_modes == small_fish.n_modes + finer_bodies.MORE_MODES
+    shapes = wag.table()[0]
+    asked = finer_bodies.same_shapes(small_fish, fine, shapes)
+    there = np.einsum("nik,mk->mni", small_fish.modes, shapes)
+    again = np.einsum("nik,mk->mni", fine.modes, asked)
+    assert np.abs(there - again).max() < 1e-6 * small_fish.length
 
 
 def test_finer_steps_hardly_change_a_gait(small_fish, wag):

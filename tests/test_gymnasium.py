@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import pickle
+import subprocess
+import sys
 
 import gymnasium
 import numpy as np
@@ -24,6 +26,13 @@ def test_every_task_of_the_suite_has_an_id():
     names = {name for name in gymnasium.registry if name.startswith("defplan/")}
     assert names == set(ALL)
     assert len(names) == len(suite.ALL_TASKS)
+
+
+@pytest.mark.parametrize("order", ["defplan_mj, gymnasium", "gymnasium, defplan_mj"])
+def test_the_ids_are_there_in_whatever_order_things_are_imported(order):
+    code = f"import {order}; assert gymnasium.spec('defplan/FishSwim-v0').id"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.filterwarnings("ignore:.*infinity")

@@ -11,12 +11,14 @@ import pytest
 
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Heightfield, Terrain, TerrainGeom
+from defplan_mj.dynamics.world import World
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.evaluation import evaluate
 from defplan_mj.host.navigation import navigation_environment
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.render import render_states
 from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.planning.robot import Robot
 from defplan_mj.task import Navigation
 
 TIMESTEP = 0.02
@@ -141,10 +143,9 @@ def test_an_evaluation_of_a_walker_is_on_its_terrain(still):
     ahead = samples.scene([], target=(5.0, 0.0, 0.0), max_cycles=3)
     paths = []
     for terrain in (Terrain(), None):
-        result = evaluate(
-            samples.walker(), still, None, Navigation(), Stand(), [ahead],
-            shield=False, terrain=terrain,
-        )  # fmt: skip
+        walker = samples.walker()
+        robot = Robot(walker, still, World(walker.medium, terrain))
+        result = evaluate(robot, None, Navigation(), Stand(), [ahead], shield=False)
         [episode] = result.episodes
         assert episode.outcome == "timeout" and episode.cycles == 3
         paths.append(episode.path)

@@ -207,7 +207,7 @@ def check(arguments: argparse.Namespace, console: Console) -> int:
     robot = packaged_robot(spec) if folder is None else robot_of_run(spec, folder)
     with console.progress() as progress:
         options = arguments.full, arguments.cycles, arguments.seed
-        data = check_gaits(spec, robot, *options, progress)
+        data = check_gaits(spec, robot, *options, progress, arguments.bodies)
         if folder is not None:
             _keep_check(folder, {**data, "gait": robot.gait.hash}, progress)
     console.result(data, check_text(data))

@@ -224,6 +224,11 @@ def _check(sub: argparse.ArgumentParser) -> None:
         "--no-full", dest="full", action="store_false", help="leave the full FEM out: seconds"
     )
     sub.add_argument(
+        "--bodies",
+        action="store_true",
+        help="also bodies with more modes, a larger basis, more drag points: minutes",
+    )
+    sub.add_argument(
         "--cycles", type=_count, default=50, metavar="N", help="that falls are counted in (50)"
     )
     sub.add_argument("--seed", type=_natural, default=0, metavar="S", help="(default: 0)")

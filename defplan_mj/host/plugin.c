@@ -1,5 +1,5 @@
-/* MuJoCo engine plugin `defplan.reduced_fem`: drives a body's free joint and modal slide joints by the
- * reduced step of the kernel, and senses how far the deformed surface is from the scene's geoms.
+/* MuJoCo engine plugin `defplan.reduced_fem`: drives a body's free joint and modal slide joints by
+ * the reduced step of the kernel, and senses how far the surface is from the scene's geoms.
  *
  * Build (setup.py does; by hand, with S = the site-packages folder that holds mujoco):
  *   gcc -O3 -march=x86-64-v3 -std=c11 -fPIC -shared -I$S/mujoco/include -Idefplan_mj/kernel \
@@ -10,10 +10,11 @@
  *
  * What an instance reads from the model (so copies, pickles and batches of a model just work):
  *   custom numerics, named by the config attributes `body` (the kernel's blob), `options` (the
- *   kernel's par; its time step is overwritten by opt.timestep), `scale` (target shape at ctrl = 1) and
- *   `terrain` (what the body stands on; without it there is no contact);
+ *   kernel's par; its time step is overwritten by opt.timestep), `scale` (target shape at ctrl = 1)
+ *   and `terrain` (what the body stands on; without it there is no contact);
  *   its actuators, in order: their joints are the modal coordinates, slides on children of the body
- *   that carries the free joint, and their activations the last target shape; body_user (if 3 numbers) is the velocity of a mocap obstacle.
+ *   that carries the free joint, and their activations the last target shape;
+ *   body_user (if 3 numbers) is the velocity of a mocap obstacle.
  * What it keeps is in plugin_state, laid out by the ST_* indices. It allocates nothing. */
 #include <math.h>
 #include <string.h>
@@ -57,8 +58,8 @@ static const mjtNum* find_numeric(const mjModel* m, int instance, int i, int* si
   return m->numeric_data + m->numeric_adr[id];
 }
 
-/* Fill `at`; return NULL, or what is wrong with the model. The numbers behind the headers are not looked at:
- * plugin_init does that once. */
+/* Fill `at`; return NULL, or what is wrong with the model. The numbers behind the headers are not
+ * looked at: plugin_init does that once. */
 static const char* find_layout(const mjModel* m, int instance, layout* at) {
   int size = 0, sizes[5];
   at->blob = find_numeric(m, instance, 0, &size);
@@ -82,7 +83,8 @@ static const char* find_layout(const mjModel* m, int instance, layout* at) {
       return "its actuators must drive slide joints";
     }
     if (at->r == sizes[0]) return "more actuators than modes";
-    if (m->actuator_actnum[i] != 1) return "its actuators must have one activation each: the last target";
+    if (m->actuator_actnum[i] != 1)
+      return "its actuators must have one activation each: the last target";
     at->ctrl[at->r] = m->actuator_ctrladr[i];
     at->act[at->r] = m->actuator_actadr[i];
     at->qpos[at->r] = m->jnt_qposadr[joint];
@@ -119,8 +121,9 @@ static void set_state(mjData* d, const layout* at, const double* x) {
   }
 }
 
-/* Target shape of the controls: scale * ctrl, controls clipped to [-limit, limit] of the actuator. */
-static void get_target(const mjModel* m, const mjData* d, const layout* at, int instance, double* u) {
+/* Target shape of the controls: scale * ctrl, controls clipped to the actuator's range. */
+static void get_target(const mjModel* m, const mjData* d, const layout* at, int instance,
+                       double* u) {
   int k = 0;
   for (int i = 0; i < m->nactuator && k < at->r; i++) {
     if (m->actuator_plugin[i] != instance) continue;
@@ -144,7 +147,7 @@ static int moving_place(const mjModel* m, const mjData* d, int body, double plac
   return 1;
 }
 
-/* Signed distance of the deformed surface to the nearest collidable primitive geom, at most CUTOFF. */
+/* Signed distance of the surface to the nearest collidable primitive geom, at most CUTOFF. */
 static double clearance(const mjModel* m, mjData* d, const layout* at) {
   double x[MAX_STATE], place[3];
   get_state(d, at, x);

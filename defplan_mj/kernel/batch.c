@@ -1,4 +1,4 @@
-/* Many robots of one model, a step each: what a vector environment needs between two calls of Python. */
+/* Many robots of one model, a step each: what a vector environment needs of the kernel. */
 #include "kernel.h"
 
 int dp_step_many(const dp_model* m, int n, const double* x, const double* u, double* x_next, int nu,

@@ -2,23 +2,23 @@
  *
  * A slot holds a model and a number of steps N; slot s is seen by CasADi as
  *   defplan_step_<ss>    (x, u) -> x_next           with jac_ and adj1_   (only for N = 1)
- *   defplan_rollout_<ss> (x0, u: nu x N) -> x: nx x N  with adj1_           (states after each step)
+ *   defplan_rollout_<ss> (x0, u: nu x N) -> x: nx x N  with adj1_   (states after each step)
  *   defplan_feet_<ss>    x -> p: 3 x n_feet         with jac_             (where the feet are)
  * CasADi counts the references to its functions through _incref and _decref: a slot is free again
- * when its opener has closed it and the last function on it is gone. A function names its model: its
- * config_args are the slot's key and sizes, which _config compares, so that a function that was saved
- * is not taken for one on another model. Why an evaluation failed: dp_slot_failure. */
+ * when its opener has closed it and the last function on it is gone. A function names its model:
+ * its config_args are the slot's key and sizes, which _config compares, so that a function that was
+ * saved is not taken for one on another model. Why an evaluation failed: dp_slot_failure. */
 #include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "work.h"
+#include "parts.h"
 
 typedef long long Int; /* casadi_int */
 enum { N_SLOTS = 64, N_KEY = 65, N_SIZES = 64 };
 enum { STATE, INPUTS, STATES, JAC_X, JAC_U, FEET, JAC_FEET, N_DIMENSIONS }; /* kinds of arguments */
 
-/* ipopt asks for a value and then for a gradient at the same point: the last few rollouts are kept. */
+/* ipopt asks for a value, then for a gradient at the same point: the last rollouts are kept. */
 enum { N_KEPT = 4 };
 
 typedef struct {
@@ -57,8 +57,10 @@ static int state_size(const Parts* p) { return 13 + 3 * p->body.r; }
 static int fill(Slot* s, const dp_model* m, const Parts* p, int steps, const char* key) {
   const size_t nu = p->nu, nq = 7 + (size_t)p->body.r, nx = state_size(p);
   const size_t kept = steps > 1 ? nx + (nu + nx) * steps : 0, body = (size_t)m->body[2];
-  const size_t terrain = m->terrain ? (size_t)m->terrain[0] : 0, feet = m->feet ? (size_t)m->feet[0] : 0;
-  double* to = s->memory = malloc((body + terrain + feet + DP_N_PAR + N_KEPT * kept) * sizeof(double));
+  const size_t terrain = m->terrain ? (size_t)m->terrain[0] : 0;
+  const size_t feet = m->feet ? (size_t)m->feet[0] : 0;
+  double* to = s->memory =
+      malloc((body + terrain + feet + DP_N_PAR + N_KEPT * kept) * sizeof(double));
   if (!to) return -3;
   s->model.body = keep(&to, m->body, body), s->model.par = keep(&to, m->par, DP_N_PAR);
   s->model.terrain = keep(&to, m->terrain, terrain), s->model.feet = keep(&to, m->feet, feet);
@@ -111,7 +113,8 @@ void dp_slot_close(int slot) {
 
 void dp_slot_sizes(int slot, char sizes[DP_SLOT_SIZES]) {
   lock();
-  snprintf(sizes, DP_SLOT_SIZES, "%s", slot >= 0 && slot < N_SLOTS && slots[slot].memory ? slots[slot].sizes : "");
+  snprintf(sizes, DP_SLOT_SIZES, "%s",
+           slot >= 0 && slot < N_SLOTS && slots[slot].memory ? slots[slot].sizes : "");
   unlock();
 }
 
@@ -126,14 +129,16 @@ static int configure(int slot, const char* name, int argc, const char** argv) {
   Slot* s = slots + slot;
   lock();
   const int there = s->memory != NULL;
-  const int right = there && (argc == 1 || (argc == 3 && !strcmp(argv[1], s->key) && !strcmp(argv[2], s->sizes)));
+  const int right =
+      there && (argc == 1 || (argc == 3 && !strcmp(argv[1], s->key) && !strcmp(argv[2], s->sizes)));
   if (!right) s->references++;
   unlock();
   if (!right)
     fprintf(stderr,
             "defplan: the saved function %s is of the model %.12s, but its slot %s: load it by"
             " defplan_mj.dynamics.external.load_function\n",
-            name, argc > 1 ? argv[1] : "(unknown)", there ? "holds another one here" : "is empty here");
+            name, argc > 1 ? argv[1] : "(unknown)",
+            there ? "holds another one here" : "is empty here");
   return !right;
 }
 
@@ -187,7 +192,9 @@ static int work(const Slot* s, Int* arg, Int* res, Int* iw, Int* w) {
   if (arg) *arg = 4;
   if (res) *res = 2;
   if (iw) *iw = 0;
-  if (w) *w = (Int)(2 * states_size(s) + 2 * (size_t)s->steps * s->nu + (size_t)s->nx * (s->nx + s->nu + 3 * s->n_feet));
+  if (w)
+    *w = (Int)(2 * states_size(s) + 2 * (size_t)s->steps * s->nu +
+               (size_t)s->nx * (s->nx + s->nu + 3 * s->n_feet));
   return 0;
 }
 
@@ -210,7 +217,8 @@ static const double* find(const Slot* s, const double* w, const double* u) {
   const size_t nx = s->nx, nu = (size_t)s->steps * s->nu, size = nx + nu + nx * s->steps;
   for (int i = 0; i < s->n_kept; i++) {
     const double* kept = s->kept + i * size;
-    if (!memcmp(kept, w, nx * sizeof(double)) && !memcmp(kept + nx, u, nu * sizeof(double))) return kept + nx + nu;
+    if (!memcmp(kept, w, nx * sizeof(double)) && !memcmp(kept + nx, u, nu * sizeof(double)))
+      return kept + nx + nu;
   }
   return NULL;
 }
@@ -245,7 +253,8 @@ static int adjoint(Slot* s, const char* name, const double** arg, double** res, 
   read(NULL, s->nx, g), read(arg[3], n, g + s->nx);
   const double* u = shapes(s, arg, w);
   const int wrong = wrong_arguments(x, s->nx, u, nu);
-  if (wrong || !finite(x, n + s->nx) || !finite(g, n + s->nx)) return fail(s, name, wrong ? wrong : DP_SLOT_NOT_FINITE);
+  if (wrong || !finite(x, n + s->nx) || !finite(g, n + s->nx))
+    return fail(s, name, wrong ? wrong : DP_SLOT_NOT_FINITE);
   if (dp_rollout_adj(&s->model, s->steps, u, x, g, gu)) return fail(s, name, DP_SLOT_SINGULAR);
   write(g, s->nx, res[0]), write(gu, nu, res[1]);
   return 0;
@@ -253,7 +262,8 @@ static int adjoint(Slot* s, const char* name, const double** arg, double** res, 
 
 static int jacobian(Slot* s, const char* name, const double** arg, double** res, double* w) {
   const int nx = s->nx, nu = s->nu;
-  double *x = w, *x_next = w + nx, *A = w + 2 * states_size(s) + 2 * (size_t)s->steps * nu, *B = A + nx * nx;
+  double *x = w, *x_next = w + nx;
+  double *A = w + 2 * states_size(s) + 2 * (size_t)s->steps * nu, *B = A + nx * nx;
   read(arg[0], nx, x), read(arg[2], nx, x_next);
   const double* u = shapes(s, arg, w);
   const int wrong = wrong_arguments(x, nx, u, nu);
@@ -287,20 +297,26 @@ static int feet_jacobian(Slot* s, const char* name, const double** arg, double**
   return 0;
 }
 
-#define FUNCTION(name, s, signature, call)                                                        \
-  DP_API Int name##_n_in(void) { return (signature).n_in; }                                       \
-  DP_API Int name##_n_out(void) { return (signature).n_out; }                                     \
-  DP_API const char* name##_name_in(Int i) { return (signature).in[i]; }                          \
-  DP_API const char* name##_name_out(Int i) { return (signature).out[i]; }                        \
-  DP_API const Int* name##_sparsity_in(Int i) { return slots[s].dense[(signature).dimension_in[i]]; } \
-  DP_API const Int* name##_sparsity_out(Int i) { return slots[s].dense[(signature).dimension_out[i]]; } \
-  DP_API int name##_work(Int* a, Int* r, Int* i, Int* w) { return work(slots + s, a, r, i, w); }  \
-  DP_API void name##_incref(void) { retain(slots + s); }                                          \
-  DP_API void name##_decref(void) { release(slots + s); }                                         \
-  DP_API int name##_config(int argc, const char** argv) { return configure(s, #name, argc, argv); } \
-  DP_API int name(const double** arg, double** res, Int* iw, double* w, int mem) {                \
-    (void)iw, (void)mem;                                                                          \
-    return call(slots + s, #name, arg, res, w);                                                   \
+#define FUNCTION(name, s, signature, call)                                                       \
+  DP_API Int name##_n_in(void) { return (signature).n_in; }                                      \
+  DP_API Int name##_n_out(void) { return (signature).n_out; }                                    \
+  DP_API const char* name##_name_in(Int i) { return (signature).in[i]; }                         \
+  DP_API const char* name##_name_out(Int i) { return (signature).out[i]; }                       \
+  DP_API const Int* name##_sparsity_in(Int i) {                                                  \
+    return slots[s].dense[(signature).dimension_in[i]];                                          \
+  }                                                                                              \
+  DP_API const Int* name##_sparsity_out(Int i) {                                                 \
+    return slots[s].dense[(signature).dimension_out[i]];                                         \
+  }                                                                                              \
+  DP_API int name##_work(Int* a, Int* r, Int* i, Int* w) { return work(slots + s, a, r, i, w); } \
+  DP_API void name##_incref(void) { retain(slots + s); }                                         \
+  DP_API void name##_decref(void) { release(slots + s); }                                        \
+  DP_API int name##_config(int argc, const char** argv) {                                        \
+    return configure(s, #name, argc, argv);                                                      \
+  }                                                                                              \
+  DP_API int name(const double** arg, double** res, Int* iw, double* w, int mem) {               \
+    (void)iw, (void)mem;                                                                         \
+    return call(slots + s, #name, arg, res, w);                                                  \
   }
 #define SLOT(d, n)                                                  \
   FUNCTION(defplan_step_##d##n, 10 * d + n, STEP, evaluate)         \
@@ -310,7 +326,8 @@ static int feet_jacobian(Slot* s, const char* name, const double** arg, double**
   FUNCTION(adj1_defplan_rollout_##d##n, 10 * d + n, ROLLOUT_ADJ, adjoint) \
   FUNCTION(defplan_feet_##d##n, 10 * d + n, FEET_AT, feet_at)       \
   FUNCTION(jac_defplan_feet_##d##n, 10 * d + n, FEET_JAC, feet_jacobian)
-#define TEN(d) \
-  SLOT(d, 0) SLOT(d, 1) SLOT(d, 2) SLOT(d, 3) SLOT(d, 4) SLOT(d, 5) SLOT(d, 6) SLOT(d, 7) SLOT(d, 8) SLOT(d, 9)
+#define TEN(d)                                                    \
+  SLOT(d, 0) SLOT(d, 1) SLOT(d, 2) SLOT(d, 3) SLOT(d, 4)          \
+  SLOT(d, 5) SLOT(d, 6) SLOT(d, 7) SLOT(d, 8) SLOT(d, 9)
 /* names have two digits: one can stand for another in a file (external.py) */
 TEN(0) TEN(1) TEN(2) TEN(3) TEN(4) TEN(5) SLOT(6, 0) SLOT(6, 1) SLOT(6, 2) SLOT(6, 3)

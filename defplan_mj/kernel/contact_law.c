@@ -1,23 +1,25 @@
 /* The force of the terrain on a point, and its derivatives.
  *
- * A point at gap s of a part of the terrain, with s < d, takes the normal force k (d - s)^2 psi(-b ds/dt)
- * along the gradient a of s: a spring that is soft at first touch, and grows with the speed of the
- * approach (after Hunt and Crossley, 1975), so that an impact loses the same energy whatever the time
- * step. psi is max(0, 1 + x) rounded, so that nothing sticks. Friction: Coulomb's, rounded,
- * mu |f_n| v / sqrt(|v|^2 + e^2) against the tangential velocity v = (I - n n^T) dp/dt. */
-#include "work.h"
+ * A point at gap s of a part of the terrain, with s < d, takes the normal force
+ * k (d - s)^2 psi(-b ds/dt) along the gradient a of s: a spring that is soft at first touch, and
+ * grows with the speed
+ * of the approach (after Hunt and Crossley, 1975), so that an impact loses the same energy whatever
+ * the time step. psi is max(0, 1 + x) rounded, so that nothing sticks. Friction: Coulomb's,
+ * rounded, mu |f_n| v / sqrt(|v|^2 + e^2) against the tangential velocity v = (I - n n^T) dp/dt. */
+#include "terrain.h"
 
 static const double ROUNDING = .1; /* of psi at x = -1 */
 
 /* psi(x) and its derivative */
 static double damping(double x, double* slope) {
-  const double root = sqrt((1 + x) * (1 + x) + ROUNDING * ROUNDING), norm = 1 + sqrt(1 + ROUNDING * ROUNDING);
+  const double root = sqrt((1 + x) * (1 + x) + ROUNDING * ROUNDING);
+  const double norm = 1 + sqrt(1 + ROUNDING * ROUNDING);
   *slope = (1 + (1 + x) / root) / norm;
   return (1 + x + root) / norm;
 }
 
-int contact_law(const Terrain* t, double mu, int part, const double* p, const double* v, double* f, double* D,
-                double* F) {
+int contact_law(const Terrain* t, double mu, int part, const double* p, const double* v, double* f,
+                double* D, double* F) {
   const double k = t->stiffness;
   double a[3], A[9], slope;
   const double depth = t->thickness - terrain_gap(t, part, p, a, A);
@@ -48,8 +50,8 @@ int contact_law(const Terrain* t, double mu, int part, const double* p, const do
   /* dn/dp = (I - n n^T) A / size; du = P dv - (n v^T + v.n) dn */
   double nA[3], N[9], vN[3], M[9], sM[3];
   mul_mtv(A, n, nA);
-  for (int i = 0; i < 9; i++) {
-    P[i] = (i % 4 == 0) - n[i / 3] * n[i % 3] - s[i / 3] * s[i % 3]; /* (I - s s^T)(I - n n^T), s _|_ n */
+  for (int i = 0; i < 9; i++) { /* P = (I - s s^T)(I - n n^T), s _|_ n */
+    P[i] = (i % 4 == 0) - n[i / 3] * n[i % 3] - s[i / 3] * s[i % 3];
     N[i] = (A[i] - n[i / 3] * nA[i % 3]) / size;
   }
   mul_mtv(N, v, vN);

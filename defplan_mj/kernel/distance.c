@@ -1,5 +1,5 @@
-/* Signed distances of points to simple solids with two derivatives, and the smallest one of a surface. */
-#include "internal.h"
+/* Signed distances of points to simple solids with two derivatives. */
+#include "terrain.h"
 
 /* Nearest point on an ellipsoid with semi-axes a, first octant: bisection on the Lagrange
  * multiplier, sum (a_i p_i / (t + a_i^2))^2 = 1 (Eberly, Distance from a Point to an Ellipsoid). */
@@ -7,7 +7,8 @@ static void ellipsoid_nearest(const double* a, const double* p, double* out) {
   double low = 0, high = 0, least = fmin(a[0], fmin(a[1], a[2]));
   low = -least * least;
   for (int i = 0; i < 3; i++) low = fmax(low, a[i] * p[i] - a[i] * a[i]);
-  high = sqrt(a[0] * a[0] * p[0] * p[0] + a[1] * a[1] * p[1] * p[1] + a[2] * a[2] * p[2] * p[2]) - least * least;
+  high = sqrt(a[0] * a[0] * p[0] * p[0] + a[1] * a[1] * p[1] * p[1] + a[2] * a[2] * p[2] * p[2]) -
+         least * least;
   for (int k = 0; k < 120 && high > low; k++) {
     double t = .5 * (low + high), s = 0;
     if (t == low || t == high) break;
@@ -21,14 +22,16 @@ static void ellipsoid_nearest(const double* a, const double* p, double* out) {
   int flat = -1;
   for (int i = 0; i < 3; i++) {
     double d = t + a[i] * a[i];
-    if (d <= 1e-14 * a[i] * a[i] || (p[i] == 0 && a[i] == least && t < 0 && fabs(d) < 1e-9 * a[i] * a[i])) {
+    if (d <= 1e-14 * a[i] * a[i] ||
+        (p[i] == 0 && a[i] == least && t < 0 && fabs(d) < 1e-9 * a[i] * a[i])) {
       out[i] = 0, flat = i;
     } else {
       out[i] = a[i] * a[i] * p[i] / d;
     }
     s += out[i] * out[i] / (a[i] * a[i]);
   }
-  if (flat >= 0 && s < 1) out[flat] = a[flat] * sqrt(1 - s); /* on the axis inside: the side is free */
+  if (flat >= 0 && s < 1)
+    out[flat] = a[flat] * sqrt(1 - s); /* on the axis inside: the side is free */
 }
 
 /* hessian (local, row-major) += factor a a^T */
@@ -37,15 +40,18 @@ static void add_square(double* hessian, double factor, double x, double y, doubl
   for (int i = 0; i < 9; i++) hessian[i] += factor * a[i / 3] * a[i % 3];
 }
 
-/* Hessian of the distance to a surface with shape operator S at the nearest point: S (I + dist S)^-1. */
-static void curved(const double* size, const double* near, const double* n, double dist, double* hessian) {
+/* Hessian of the distance to a surface with shape operator S at the nearest point,
+ * S (I + dist S)^-1. */
+static void curved(const double* size, const double* near, const double* n, double dist,
+                   double* hessian) {
   double S[9], A[9], length = 0;
   for (int i = 0; i < 3; i++) length += near[i] * near[i] / pow(size[i], 4);
   length = sqrt(length);
   for (int i = 0; i < 9; i++) {
     double s = 0;
     for (int k = 0; k < 3; k++)
-      s += ((i / 3 == k) - n[i / 3] * n[k]) / (size[k] * size[k]) * ((i % 3 == k) - n[k] * n[i % 3]);
+      s +=
+          ((i / 3 == k) - n[i / 3] * n[k]) / (size[k] * size[k]) * ((i % 3 == k) - n[k] * n[i % 3]);
     S[i] = s / length, A[i] = (i % 4 == 0) + dist * S[i];
   }
   double c[9], inverse[9];
@@ -59,7 +65,8 @@ static void curved(const double* size, const double* near, const double* n, doub
 }
 
 double geom_gap(const dp_geom* g, const double p[3], double* normal, double* hessian) {
-  double d[3] = {p[0] - g->pos[0], p[1] - g->pos[1], p[2] - g->pos[2]}, l[3], n[3] = {0, 0, 1}, dist;
+  double d[3] = {p[0] - g->pos[0], p[1] - g->pos[1], p[2] - g->pos[2]};
+  double l[3], n[3] = {0, 0, 1}, dist;
   double unused[9], *h = hessian ? hessian : unused;
   mul_mtv(g->mat, d, l);
   const double* size = g->size;
@@ -83,7 +90,8 @@ double geom_gap(const dp_geom* g, const double p[3], double* normal, double* hes
       break;
     }
     case DP_CYLINDER: {
-      double rho = sqrt(l[0] * l[0] + l[1] * l[1]), side = rho - size[0], cap = fabs(l[2]) - size[1];
+      double rho = sqrt(l[0] * l[0] + l[1] * l[1]);
+      double side = rho - size[0], cap = fabs(l[2]) - size[1];
       double c = rho > 0 ? l[0] / rho : 1, s = rho > 0 ? l[1] / rho : 0, up = l[2] < 0 ? -1 : 1;
       if (side > 0 && cap > 0) {
         dist = sqrt(side * side + cap * cap);
@@ -107,7 +115,8 @@ double geom_gap(const dp_geom* g, const double p[3], double* normal, double* hes
       }
       if (outside > 0) {
         dist = sqrt(outside);
-        for (int i = 0; i < 3; i++) n[i] = (l[i] < 0 ? -1 : 1) * out[i] / dist, h[4 * i] = out[i] > 0 ? 1 / dist : 0;
+        for (int i = 0; i < 3; i++)
+          n[i] = (l[i] < 0 ? -1 : 1) * out[i] / dist, h[4 * i] = out[i] > 0 ? 1 / dist : 0;
         add_square(h, -1 / dist, n[0], n[1], n[2]);
       } else {
         dist = q[nearest];
@@ -118,9 +127,11 @@ double geom_gap(const dp_geom* g, const double p[3], double* normal, double* hes
     case DP_ELLIPSOID: {
       double a[3] = {fabs(l[0]), fabs(l[1]), fabs(l[2])}, near[3], v[3], inside = -1;
       ellipsoid_nearest(size, a, near);
-      for (int i = 0; i < 3; i++) v[i] = a[i] - near[i], inside += a[i] * a[i] / (size[i] * size[i]);
+      for (int i = 0; i < 3; i++)
+        v[i] = a[i] - near[i], inside += a[i] * a[i] / (size[i] * size[i]);
       double length = sqrt(dot3(v, v)), sum = 0;
-      for (int i = 0; i < 3; i++) n[i] = (l[i] < 0 ? -1 : 1) * near[i] / (size[i] * size[i]), sum += n[i] * n[i];
+      for (int i = 0; i < 3; i++)
+        n[i] = (l[i] < 0 ? -1 : 1) * near[i] / (size[i] * size[i]), sum += n[i] * n[i];
       for (int i = 0; i < 3; i++) n[i] /= sqrt(sum);
       dist = inside < 0 ? -length : length;
       if (hessian) {
@@ -138,40 +149,12 @@ double geom_gap(const dp_geom* g, const double p[3], double* normal, double* hes
     for (int i = 0; i < 3; i++) mul_mv(g->mat, (double[3]){h[i], h[3 + i], h[6 + i]}, half + 3 * i);
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++)
-        h[3 * i + j] = g->mat[3 * j] * half[i] + g->mat[3 * j + 1] * half[3 + i] + g->mat[3 * j + 2] * half[6 + i];
+        h[3 * i + j] = g->mat[3 * j] * half[i] + g->mat[3 * j + 1] * half[3 + i] +
+                       g->mat[3 * j + 2] * half[6 + i];
   }
   return dist;
 }
 
 double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]) {
   return geom_gap(g, p, normal, NULL);
-}
-
-double dp_clearance(const double* blob, const double* qpos, int n_geom, const dp_geom* geoms, double cutoff,
-                    int* geom, int* point) {
-  Body b;
-  double best = cutoff;
-  if (geom) *geom = -1;
-  if (point) *point = -1;
-  if (body_view_own(&b, blob)) return best;
-  if (!is_finite(qpos, 7 + b.r)) return NAN;
-  /* the surface stays within 1.5 times its largest rest distance from the centre of mass */
-  const double reach = 1.5 * b.radius;
-  int near = 0;
-  for (int i = 0; i < n_geom && !near; i++) near = dp_geom_distance(geoms + i, qpos, NULL) < reach + cutoff;
-  if (!near) return best;
-  double points[3 * (b.n_surface > 0 ? b.n_surface : 1)];
-  dp_surface(blob, qpos, points);
-  for (int i = 0; i < n_geom; i++) {
-    if (!(dp_geom_distance(geoms + i, qpos, NULL) < reach + best)) continue;
-    for (int s = 0; s < b.n_surface; s++) {
-      double d = dp_geom_distance(geoms + i, points + 3 * s, NULL);
-      if (d < best) {
-        best = d;
-        if (geom) *geom = i;
-        if (point) *point = s;
-      }
-    }
-  }
-  return best;
 }

@@ -1,46 +1,59 @@
 /* Forces on points of the body in implicit Euler's step: contact with the terrain, by the law of
- * contact_law.c with v = (p - p_1)/h, and given forces on its feet. All of it is taken at the end of the
- * step, so the equations are no longer those of a minimum. With `reference` the normal of friction and its
- * force are those there, and there is no damping: then friction has the potential
+ * contact_law.c with v = (p - p_1)/h, and given forces on its feet. All of it is taken at the end
+ * of the step, so the equations are no longer those of a minimum. With `reference` the normal of
+ * friction and its force are those there, and there is no damping: then friction has the potential
  * h mu |f_n| sqrt(|v|^2 + e^2), and the step is a minimisation again. */
-#include "work.h"
+#include "euler.h"
 
-void contact_positions(const Work* w, const Config* cfg, double* out) {
+void point_forces(Work* w, const double* field, int n, const double* y, const double* Jq,
+                  const double* f, double* back) {
+  const int r = w->body->r, dim = 6 + r;
+  double turn[3], bend[3], *g = w->g, *H = w->H;
+  /* g_c = -sum f, g_t = -sum y x f, g_q = -sum Jq . f */
+  sum_cross(y, f, n, turn);
+  for (int i = 0; i < 3; i++) g[i] -= sum(f + i * n, n), g[3 + i] -= turn[i];
+  for (int c = 0; c < r; c++) g[6 + c] -= inner(Jq + c * 3 * n, f, 3 * n);
+  /* N += sum f y^T for H_tt, gz -= Phi^T R^T f for H_qq, H_tq -= sum Jq x f */
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) w->N[3 * i + j] += inner(f + i * n, y + j * n, n);
+  rotate_back(w->now.R, f, n, back);
+  for (int s = 0; s < 3 * n; s++) back[s] = -back[s];
+  field_transpose(w->body, field, back, n, w->gz);
+  for (int c = 0; c < r; c++) {
+    sum_cross(Jq + c * 3 * n, f, n, bend);
+    for (int i = 0; i < 3; i++) H[(3 + i) * dim + 6 + c] -= bend[i];
+  }
+}
+
+void contact_places(const Work* w, const Config* cfg, double* out) {
   const Body* b = w->body;
-  double* local = w->touch_Jq; /* not in use while positions are */
-  field_apply(b, b->contacts, 1, cfg->zeta, b->nc, local);
-  rotate(cfg->R, local, b->nc, out);
+  field_apply(b, b->contacts, 1, cfg->zeta, b->nc, w->touch_local);
+  rotate(cfg->R, w->touch_local, b->nc, out);
   for (int i = 0; i < 3; i++)
     for (int s = 0; s < b->nc; s++) out[i * b->nc + s] += w->origin[i] + cfg->c[i];
 }
 
-void contact_prepare(Work* w) { contact_positions(w, &w->one, w->touch_before); }
+void contact_prepare(Work* w) { contact_places(w, &w->one, w->touch_before); }
 
-/* Force f (3) on a point at p, its derivatives D = -df/dp in all, F = -df/dv; returns the energy. Without
- * `reference` the law is that of contact_law.c, which has no energy: the spring's is returned. */
-static double contact_force(const Work* w, int part, const double* p, const double* before,
-                            const double* reference, double* f, double* D, double* F) {
+/* --- the force on one point that touches */
+
+/* f += k d^2 a at a depth d along the gap's gradient a, A its Hessian; D = -df/dp */
+static void spring(double k, double depth, const double* a, const double* A, double* f, double* D) {
+  for (int i = 0; i < 3; i++) f[i] += k * depth * depth * a[i];
+  for (int i = 0; i < 9; i++)
+    D[i] += 2 * k * depth * a[i / 3] * a[i % 3] - k * depth * depth * A[i];
+}
+
+/* Friction by the normal force at `reference`: f -= mu f_n u / sqrt(|u|^2 + e^2),
+ * u = (I - n n^T) v tangential; F = -df/dv; returns its potential. */
+static double lagged_friction(const Work* w, int part, const double* v, const double* reference,
+                              double* f, double* D, double* F) {
   const Terrain* t = &w->terrain;
-  const double h = w->h, mu = w->friction, k = t->stiffness;
-  double a[3], A[9], v[3], energy = 0;
-  for (int i = 0; i < 3; i++) v[i] = (p[i] - before[i]) / h;
-  const double depth = t->thickness - terrain_gap(t, part, p, a, A);
-  if (!(depth <= 0)) energy = k * depth * depth * depth / 3;
-  if (!reference && mu != 0) {
-    double now[9] = {0};
-    contact_law(t, mu, part, p, v, f, D, now);
-    for (int i = 0; i < 9; i++) F[i] += now[i], D[i] += now[i] / h;
-    return energy;
-  }
-  if (!(depth <= 0)) { /* also what is not a number, so that the step fails */
-    for (int i = 0; i < 3; i++) f[i] += k * depth * depth * a[i];
-    for (int i = 0; i < 9; i++) D[i] += 2 * k * depth * a[i / 3] * a[i % 3] - k * depth * depth * A[i];
-  }
-  if (!reference || mu == 0) return energy;
-  const double lagged = t->thickness - terrain_gap(t, part, reference, a, NULL), size = sqrt(dot3(a, a));
-  const double fn = lagged > 0 ? k * lagged * lagged * size : 0;
-  if (!(fn > 0)) return energy;
-  double u[3], n[3], s[3];
+  const double h = w->h, mu = w->friction;
+  double a[3], u[3], n[3], s[3];
+  const double depth = t->thickness - terrain_gap(t, part, reference, a, NULL);
+  const double size = sqrt(dot3(a, a)), fn = depth > 0 ? t->stiffness * depth * depth * size : 0;
+  if (!(fn > 0)) return 0;
   for (int i = 0; i < 3; i++) n[i] = a[i] / size;
   const double vn = dot3(v, n);
   for (int i = 0; i < 3; i++) u[i] = v[i] - vn * n[i];
@@ -50,174 +63,203 @@ static double contact_force(const Work* w, int part, const double* p, const doub
     const double P = (i % 4 == 0) - n[i / 3] * n[i % 3] - s[i / 3] * s[i % 3];
     F[i] += c * P, D[i] += c * P / h;
   }
-  return energy + h * mu * fn * (speed - t->slip);
+  return h * mu * fn * (speed - t->slip);
 }
 
-/* Forces on n points at p (from the centre of mass), padded to np, of a field: what work_assemble
- * does for drag, without the force's own derivative. Jq (r x 3 np) is filled. */
-static void add_forces(Work* w, const double* field, int np, const double* p, const double* f, double* Jq,
-                       double* N) {
-  const Body* b = w->body;
-  const int r = b->r, n = 6 + r;
-  const double* R = w->now.R;
-  double back[3 * DP_MAX_CONTACTS], torque[3], *g = w->g, *H = w->H;
-  for (int i = 0; i < 3; i++) g[i] -= sum(f + i * np, np);
-  sum_cross(p, f, np, torque);
-  for (int i = 0; i < 3; i++) g[3 + i] -= torque[i];
-  rotate_back(R, f, np, back);
-  for (int s = 0; s < 3 * np; s++) back[s] = -back[s];
-  field_transpose(b, field, back, np, w->gzeta);
-  for (int i = 0; i < 3; i++)
-    for (int j = 0; j < 3; j++) N[3 * i + j] += inner(f + i * np, p + j * np, np);
-  double local[DP_MAX_MODES * 3 * DP_MAX_CONTACTS];
-  field_apply(b, field, r, w->now.dz, np, local);
-  for (int c = 0; c < r; c++) {
-    double *Jc = Jq + c * 3 * np, bend[3];
-    rotate(R, local + c * 3 * np, np, Jc);
-    sum_cross(Jc, f, np, bend);
-    g[6 + c] -= inner(Jc, f, 3 * np);
-    for (int i = 0; i < 3; i++) H[(3 + i) * n + 6 + c] -= bend[i];
+/* Force f (3) on a point at p that was at `before`, D = -df/dp in all, F = -df/dv; returns the
+ * energy (with the law of contact_law.c, which has none, the spring's). */
+static double contact_force(const Work* w, int part, const double* p, const double* before,
+                            const double* reference, double* f, double* D, double* F) {
+  const Terrain* t = &w->terrain;
+  const double h = w->h, mu = w->friction, k = t->stiffness;
+  double a[3], A[9], v[3], energy = 0;
+  for (int i = 0; i < 3; i++) v[i] = (p[i] - before[i]) / h;
+  const double depth = t->thickness - terrain_gap(t, part, p, a, A);
+  const int touches = !(depth <= 0); /* also what is not a number, so that the step fails */
+  if (touches) energy = k * depth * depth * depth / 3;
+  if (!reference && mu != 0) {
+    double now[9] = {0};
+    contact_law(t, mu, part, p, v, f, D, now);
+    for (int i = 0; i < 9; i++) F[i] += now[i], D[i] += now[i] / h;
+    return energy;
   }
+  if (touches) spring(k, depth, a, A, f, D);
+  return reference && mu != 0 ? energy + lagged_friction(w, part, v, reference, f, D, F) : energy;
 }
 
-/* The points that touch at the iterate, with their field. */
-static double find_touching(Work* w) {
-  const Body* b = w->body;
-  const int nc = b->nc, parts = terrain_parts(&w->terrain);
-  int which[DP_MAX_CONTACTS], m = 0;
-  double f[3 * DP_MAX_CONTACTS], energy = 0;
-  contact_positions(w, &w->now, w->touch_now);
-  double radius = 0, centre[3];
-  for (int i = 0; i < 3; i++) centre[i] = w->origin[i] + w->now.c[i];
-  for (int s = 0; s < b->n_contacts; s++) {
+/* --- which points touch */
+
+/* Radius of a ball around `centre` that holds all contact points, and the thickness more. */
+static double contact_radius(const Work* w, const double* centre) {
+  const int nc = w->body->nc;
+  double most = 0;
+  for (int s = 0; s < w->body->n_contacts; s++) {
     double d2 = 0;
-    for (int i = 0; i < 3; i++) d2 += (w->touch_now[i * nc + s] - centre[i]) * (w->touch_now[i * nc + s] - centre[i]);
-    radius = fmax(radius, d2);
-  }
-  radius = sqrt(radius) + w->terrain.thickness;
-  int touching[DP_MAX_CONTACTS] = {0};
-  for (int part = 0; part < parts; part++) {
-    if (part < w->terrain.n_geoms ? terrain_gap(&w->terrain, part, centre, NULL, NULL) > radius
-                                  : centre[2] - w->terrain.top - w->terrain.centre[2] > radius)
-      if (!w->reference) continue;
-    for (int s = 0; s < b->n_contacts; s++) {
-      double p[3], before[3], reference[3];
-      for (int i = 0; i < 3; i++) {
-        p[i] = w->touch_now[i * nc + s], before[i] = w->touch_before[i * nc + s];
-        if (w->reference) reference[i] = w->reference[i * nc + s];
-      }
-      double gap = terrain_gap(&w->terrain, part, p, NULL, NULL);
-      if (w->reference) gap = fmin(gap, terrain_gap(&w->terrain, part, reference, NULL, NULL));
-      if (gap >= w->terrain.thickness) continue;
-      if (!touching[s]) {
-        touching[s] = ++m, which[m - 1] = s;
-        memset(w->touch_D + 9 * (m - 1), 0, 9 * sizeof(double)), memset(w->touch_F + 9 * (m - 1), 0, 9 * sizeof(double));
-        f[3 * m - 3] = f[3 * m - 2] = f[3 * m - 1] = 0;
-      }
-      const int k = touching[s] - 1;
-      energy += contact_force(w, part, p, before, w->reference ? reference : NULL, f + 3 * k, w->touch_D + 9 * k,
-                              w->touch_F + 9 * k);
+    for (int i = 0; i < 3; i++) {
+      const double d = w->touch_now[i * nc + s] - centre[i];
+      d2 += d * d;
     }
+    most = fmax(most, d2);
   }
-  const int mp = (m + PAD - 1) / PAD * PAD;
+  return sqrt(most) + w->terrain.thickness;
+}
+
+/* Whether that ball is beyond a part of the terrain's reach. */
+static int is_far(const Work* w, int part, const double* centre, double radius) {
+  const Terrain* t = &w->terrain;
+  if (w->reference) return 0;
+  return part < t->n_geoms ? terrain_gap(t, part, centre, NULL, NULL) > radius
+                           : centre[2] - t->top - t->centre[2] > radius;
+}
+
+static void point_of(const double* places, int nc, int s, double* p) {
+  for (int i = 0; i < 3; i++) p[i] = places[i * nc + s];
+}
+
+/* Points that touch a part of the terrain, or did at `reference`: their forces f (3 each), in the
+ * order in which they were found, m of them so far; slot[s] - 1 is where point s is among them. */
+static double touch_part(Work* w, int part, int* slot, int* which, int* m, double* f) {
+  const Terrain* t = &w->terrain;
+  const int nc = w->body->nc;
+  double energy = 0, p[3], before[3], lagged[3];
+  for (int s = 0; s < w->body->n_contacts; s++) {
+    point_of(w->touch_now, nc, s, p);
+    double gap = terrain_gap(t, part, p, NULL, NULL);
+    if (w->reference) {
+      point_of(w->reference, nc, s, lagged);
+      gap = fmin(gap, terrain_gap(t, part, lagged, NULL, NULL));
+    }
+    if (gap >= t->thickness) continue;
+    if (!slot[s]) {
+      const int k = (*m)++;
+      slot[s] = *m, which[k] = s;
+      memset(w->touch_D + 9 * k, 0, 9 * sizeof(double));
+      memset(w->touch_F + 9 * k, 0, 9 * sizeof(double));
+      memset(f + 3 * k, 0, 3 * sizeof(double));
+    }
+    const int k = slot[s] - 1;
+    point_of(w->touch_before, nc, s, before);
+    energy += contact_force(w, part, p, before, w->reference ? lagged : NULL, f + 3 * k,
+                            w->touch_D + 9 * k, w->touch_F + 9 * k);
+  }
+  return energy;
+}
+
+/* Take the m points `which`: places and forces, and their field if they are not those of before. */
+static void gather(Work* w, const int* which, int m, const double* f, const double* centre) {
+  const Body* b = w->body;
+  const int nc = b->nc, mp = padded(m);
   if (m != w->m || memcmp(which, w->which, m * sizeof(int))) {
     memcpy(w->which, which, m * sizeof(int)), w->m = m, w->mp = mp;
     for (int row = 0; row < 3 * b->kp; row++)
-      for (int s = 0; s < mp; s++) w->touch_field[row * mp + s] = s < m ? b->contacts[row * nc + which[s]] : 0;
+      for (int s = 0; s < mp; s++)
+        w->touch_field[row * mp + s] = s < m ? b->contacts[row * nc + which[s]] : 0;
   }
   for (int i = 0; i < 3; i++)
     for (int s = 0; s < mp; s++) {
-      w->touch_points[i * mp + s] = s < m ? w->touch_now[i * nc + which[s]] - centre[i] : 0;
-      w->touch_force[i * mp + s] = s < m ? f[3 * s + i] : 0;
+      w->touch_y[i * mp + s] = s < m ? w->touch_now[i * nc + which[s]] - centre[i] : 0;
+      w->touch_f[i * mp + s] = s < m ? f[3 * s + i] : 0;
     }
+}
+
+/* The points that touch at the iterate; returns the energy of their forces. */
+static double find_touching(Work* w) {
+  int which[DP_MAX_CONTACTS], slot[DP_MAX_CONTACTS] = {0}, m = 0;
+  double f[3 * DP_MAX_CONTACTS], centre[3], energy = 0;
+  contact_places(w, &w->now, w->touch_now);
+  for (int i = 0; i < 3; i++) centre[i] = w->origin[i] + w->now.c[i];
+  const double radius = contact_radius(w, centre);
+  for (int part = 0; part < terrain_parts(&w->terrain); part++)
+    if (!is_far(w, part, centre, radius)) energy += touch_part(w, part, slot, which, &m, f);
+  gather(w, which, m, f, centre);
   return energy;
 }
 
-double forces_evaluate(Work* w, double* N) {
-  double energy = 0;
-  if (w->feet.n) {
-    const int np = w->feet.np;
-    double local[3 * DP_MAX_FEET];
-    field_apply(w->body, w->feet.field, 1, w->now.zeta, np, local);
-    rotate(w->now.R, local, np, w->feet_points);
-    for (int i = 0; i < 3; i++)
-      for (int s = 0; s < np; s++) {
-        const double f = s < w->feet.n ? w->u[w->body->r + 3 * s + i] : 0;
-        w->feet_force[i * np + s] = f, energy -= f * (w->now.c[i] + w->feet_points[i * np + s]); /* places from the origin: a constant */
-      }
-    add_forces(w, w->feet.field, np, w->feet_points, w->feet_force, w->feet_Jq, N);
-  }
-  if (terrain_parts(&w->terrain)) {
-    energy += find_touching(w);
-    if (w->m) add_forces(w, w->touch_field, w->mp, w->touch_points, w->touch_force, w->touch_Jq, N);
-  }
+/* --- what they do to the step's equations */
+
+/* Jq (r x 3 n) = R Phi dz at the iterate */
+static void modal_columns(const Work* w, const double* field, int n, double* Jq) {
+  const int r = w->body->r;
+  double local[DP_MAX_MODES * 3 * DP_MAX_CONTACTS];
+  field_apply(w->body, field, r, w->now.dz, n, local);
+  for (int c = 0; c < r; c++) rotate(w->now.R, local + c * 3 * n, n, Jq + c * 3 * n);
+}
+
+/* Given forces: E = -sum f . p, with p from `origin`, which is a constant less. */
+static double feet_forces(Work* w) {
+  const int n = w->feet.np, r = w->body->r;
+  double local[3 * DP_MAX_FEET], back[3 * DP_MAX_FEET], energy = 0;
+  field_apply(w->body, w->feet.field, 1, w->now.zeta, n, local);
+  rotate(w->now.R, local, n, w->feet_y);
+  for (int i = 0; i < 3; i++)
+    for (int s = 0; s < n; s++) {
+      const double f = s < w->feet.n ? w->u[r + 3 * s + i] : 0;
+      w->feet_f[i * n + s] = f, energy -= f * (w->now.c[i] + w->feet_y[i * n + s]);
+    }
+  modal_columns(w, w->feet.field, n, w->feet_Jq);
+  point_forces(w, w->feet.field, n, w->feet_y, w->feet_Jq, w->feet_f, back);
   return energy;
 }
 
+static double contact_forces(Work* w) {
+  double back[3 * DP_MAX_CONTACTS];
+  const double energy = find_touching(w);
+  if (!w->m) return energy;
+  modal_columns(w, w->touch_field, w->mp, w->touch_Jq);
+  point_forces(w, w->touch_field, w->mp, w->touch_y, w->touch_Jq, w->touch_f, back);
+  return energy;
+}
+
+double forces_evaluate(Work* w) {
+  const double given = w->feet.n ? feet_forces(w) : 0;
+  return terrain_parts(&w->terrain) ? given + contact_forces(w) : given;
+}
+
+/* H += J^T D J over what touches; D is not symmetric */
 void forces_hessian(Work* w) {
   const int r = w->body->r, n = 6 + r, mp = w->mp;
   if (!terrain_parts(&w->terrain) || !w->m) return;
-  double H[MAX_N * ROW] = {0};
+  double sums[MAX_N * ROW] = {0}, J[3][ROW];
   for (int s = 0; s < w->m; s++) {
-    double J[3][ROW] = {{0}}, DJ[3][ROW];
-    const double *D = w->touch_D + 9 * s, p[3] = {w->touch_points[s], w->touch_points[mp + s], w->touch_points[2 * mp + s]};
-    for (int i = 0; i < 3; i++) {
-      J[i][i] = 1;
-      J[i][3 + (i + 1) % 3] = p[(i + 2) % 3], J[i][3 + (i + 2) % 3] = -p[(i + 1) % 3]; /* t x p */
-      for (int c = 0; c < r; c++) J[i][6 + c] = w->touch_Jq[(c * 3 + i) * mp + s];
-    }
-    for (int i = 0; i < 3; i++)
-      for (int j = 0; j < ROW; j++) DJ[i][j] = D[3 * i] * J[0][j] + D[3 * i + 1] * J[1][j] + D[3 * i + 2] * J[2][j];
-    for (int a = 0; a < n; a++) {
-      const double x = J[0][a], y = J[1][a], z = J[2][a];
-      double* restrict row = H + a * ROW;
-      for (int j = 0; j < ROW; j++) row[j] += x * DJ[0][j] + y * DJ[1][j] + z * DJ[2][j];
-    }
+    point_jacobian(w->touch_y + s, w->touch_Jq + s, r, mp, J);
+    point_product(J, w->touch_D + 9 * s, J, n, sums);
   }
   for (int a = 0; a < n; a++)
-    for (int j = 0; j < n; j++) w->H[a * n + j] += H[a * ROW + j];
+    for (int j = 0; j < n; j++) w->H[a * n + j] += sums[a * ROW + j];
 }
 
-/* World motion of points p of a field along lambda. */
-static void motion(const Work* w, const double* field, int np, const double* p, const double* lambda,
-                   const double* dz, double* out) {
-  double local[3 * DP_MAX_CONTACTS];
-  const double* l = lambda;
-  field_apply(w->body, field, 1, dz, np, local);
-  rotate(w->now.R, local, np, out);
-  for (int s = 0; s < np; s++) {
-    const double x = p[s], y = p[np + s], z = p[2 * np + s];
-    out[s] += l[0] + l[4] * z - l[5] * y;
-    out[np + s] += l[1] + l[5] * x - l[3] * z;
-    out[2 * np + s] += l[2] + l[3] * y - l[4] * x;
-  }
+/* --- derivatives by the last configuration and by the input: L = -sum m.f, m the points' motion */
+
+/* L by given forces: -m */
+static void feet_mixed(Work* w, const double* lambda, double* gu) {
+  const int n = w->feet.np, r = w->body->r;
+  double m[3 * DP_MAX_FEET], local[3 * DP_MAX_FEET];
+  points_along(w->body, w->feet.field, w->now.R, w->feet_y, lambda, w->along, n, local, m);
+  for (int s = 0; s < w->feet.n; s++)
+    for (int i = 0; i < 3; i++) gu[r + 3 * s + i] = -m[i * n + s];
 }
 
-void forces_mixed(Work* w, const double* lambda, const double* dz, double* out, double* gz, double* gu) {
+/* L by where the points were, through v = (p - p_1)/h: dL/dp_1 = -F^T m / h */
+static void contact_mixed(Work* w, const double* lambda, double* out, double* gz) {
   const Body* b = w->body;
-  double along[3 * DP_MAX_CONTACTS];
-  /* dz of zeta counts displacements only: its entry of the rest shape is zero */
-  if (w->feet.n && gu) {
-    const int np = w->feet.np;
-    motion(w, w->feet.field, np, w->feet_points, lambda, dz, along);
-    for (int s = 0; s < w->feet.n; s++)
-      for (int i = 0; i < 3; i++) gu[b->r + 3 * s + i] = -along[i * np + s];
-  }
-  if (!terrain_parts(&w->terrain) || !w->m) return;
   const int mp = w->mp, nc = b->nc;
   const double ih = 1 / w->h;
-  double pull[3 * DP_MAX_CONTACTS], arm[3 * DP_MAX_CONTACTS], local[3 * DP_MAX_CONTACTS], turn[3];
-  motion(w, w->touch_field, mp, w->touch_points, lambda, dz, along);
+  double m[3 * DP_MAX_CONTACTS], pull[3 * DP_MAX_CONTACTS], y_one[3 * DP_MAX_CONTACTS];
+  double local[3 * DP_MAX_CONTACTS];
+  points_along(b, w->touch_field, w->now.R, w->touch_y, lambda, w->along, mp, local, m);
   for (int i = 0; i < 3; i++)
     for (int s = 0; s < mp; s++) {
+      const int touches = s < w->m;
       double f = 0;
-      for (int j = 0; s < w->m && j < 3; j++) f += w->touch_F[9 * s + 3 * j + i] * along[j * mp + s];
+      for (int j = 0; touches && j < 3; j++) f += w->touch_F[9 * s + 3 * j + i] * m[j * mp + s];
       pull[i * mp + s] = -ih * f;
-      arm[i * mp + s] = s < w->m ? w->touch_before[i * nc + w->which[s]] - w->origin[i] - w->one.c[i] : 0;
+      const double c = w->origin[i] + w->one.c[i];
+      y_one[i * mp + s] = touches ? w->touch_before[i * nc + w->which[s]] - c : 0;
     }
-  for (int i = 0; i < 3; i++) out[i] += sum(pull + i * mp, mp);
-  sum_cross(arm, pull, mp, turn);
-  for (int i = 0; i < 3; i++) out[3 + i] += turn[i];
-  rotate_back(w->one.R, pull, mp, local);
-  field_transpose(b, w->touch_field, local, mp, gz);
+  places_pull(b, w->touch_field, w->one.R, y_one, pull, mp, local, out, gz);
+}
+
+void forces_mixed(Work* w, const double* lambda, double* out, double* gz, double* gu) {
+  if (w->feet.n && gu) feet_mixed(w, lambda, gu);
+  if (terrain_parts(&w->terrain) && w->m) contact_mixed(w, lambda, out, gz);
 }

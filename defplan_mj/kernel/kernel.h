@@ -1,13 +1,13 @@
 /* The reduced step of a soft body: a step of (c, R, q) under a target shape, in substeps, with its
  * exact derivatives, rollouts, and distance queries. Plain C11; no allocation, no global state:
- * every call reads arrays of doubles that kernel/pack.py lays out (the body's `blob` and what else a
- * dp_model names) and is thread-safe. SI units; world z is up.
+ * every call reads arrays of doubles that kernel/pack.py lays out (the body's `blob` and what else
+ * a dp_model names) and is thread-safe. SI units; world z is up.
  *
  * State x, 13 + 3r doubles, in MuJoCo's order:
  *   qpos: c (3, world), unit quaternion w x y z (4), q (r)
- *   qvel: v (3, world), angular velocity (3, body frame), dq/dt (r): differences over the last substep
+ *   qvel: v (3, world), angular velocity (3, body frame), dq/dt (r): those of the last substep
  *   act: the last target shape (r), from which the next one is reached by a ramp
- * Input u, r + 3 n_feet doubles: target shape (r), then a world force (N) on each foot of the model.
+ * Input u, r + 3 n_feet doubles: target shape (r), then a world force (N) on each foot.
  * Options `par`, DP_N_PAR doubles: see the DP_* indices. */
 #ifndef DEFPLAN_KERNEL_H
 #define DEFPLAN_KERNEL_H
@@ -36,9 +36,11 @@ enum {               /* indices of par */
 };
 
 enum { DP_VARIATIONAL, DP_IMPLICIT_EULER };
-enum { DP_MAX_SUBSTEPS = 64, DP_MAX_DIVISION = 64 }; /* of a step; how far a substep is divided if need be */
-/* Multiplications, about, that a step is given before it fails: so that any input, however absurd, is answered
- * within 100 ms of processor time, and that the answer does not depend on the machine. */
+enum { DP_MAX_SUBSTEPS = 64 }; /* of a step */
+enum { DP_MAX_DIVISION = 64 }; /* parts that a substep is divided into, if need be */
+/* Multiplications, about, that a step is given before it fails: so that any input, however absurd,
+ * is answered within 100 ms of processor time, and that the answer does not depend on the
+ * machine. */
 enum { DP_MAX_WORK = 150000000 };
 enum { DP_MAX_MODES = 16, DP_MAX_BASIS = 64, DP_MAX_SAMPLES = 40, DP_MAX_POINTS = 512 };
 enum { DP_MAX_CONTACTS = 192, DP_MAX_FEET = 16, DP_MAX_INPUT = DP_MAX_MODES + 3 * DP_MAX_FEET };
@@ -60,21 +62,22 @@ typedef struct {
 
 typedef struct {
   int iterations; /* Newton iterations, all attempts of all substeps */
-  int attempts;   /* the largest number of attempts of a substep; 1: the first one found the solution */
+  int attempts;   /* the most of a substep; 1: the first one found the solution */
   int failed;     /* 1: a solve did not reach the tolerance */
   int division;   /* into how many parts the substeps had to be divided; 1: none */
   double residual; /* size of the last Newton step */
 } dp_info;
 
-/* "" or the first instruction set that the library was compiled to use and this machine lacks: to be
- * asked before anything else is called. */
+/* "" or the first instruction set that the library was compiled to use and this machine lacks: to
+ * be asked before anything else is called. */
 DP_API const char* dp_missing_instructions(void);
 
 /* 0 if blob holds a body of this version in n doubles, else a negative code. */
 DP_API int dp_check(const double* blob, size_t n);
-/* 0 if all that the model names belongs together and every number of it can be; else a negative code. To be
- * asked once, where a model is loaded: the calls below look at headers, options, geoms and what they are given
- * themselves, and fail where another number that is not finite takes part. */
+/* 0 if all that the model names belongs together and every number of it can be; else a negative
+ * code. To be asked once, where a model is loaded: the calls below look at headers, options, geoms
+ * and what they are given themselves, and fail where another number that is not finite takes
+ * part. */
 DP_API int dp_check_model(const dp_model* m);
 /* 0 if terrain (not NULL) holds one in n doubles; feet for this body likewise. */
 DP_API int dp_check_terrain(const double* terrain, size_t n);
@@ -84,25 +87,26 @@ DP_API void dp_sizes(const double* blob, int sizes[5]);
 
 /* Size of a state of a body with r modes. */
 DP_API int dp_state_size(const double* blob);
-/* One step. Returns 0, or 1 if the solve failed, or something given is not finite: x_next is then x with
- * what is not finite taken out, and nothing if the model has no body. A substep without a solution is divided,
- * until the step has done as much work as DP_MAX_WORK allows: then it has failed. */
+/* One step. Returns 0, or 1 if the solve failed, or something given is not finite: x_next is then x
+ * with what is not finite taken out, and nothing if the model has no body. A substep without a
+ * solution is divided, until the step has done as much work as DP_MAX_WORK allows: then it has
+ * failed. */
 DP_API int dp_step(const dp_model* m, const double* x, const double* u,
                    double* x_next, dp_info* info);
-/* The same from a state (nx) near the solution, of which the configuration counts: fewer iterations.
- * If they do not converge, as dp_step; if it is not a state, the step fails. */
+/* The same from a state (nx) near the solution, of which the configuration counts: fewer
+ * iterations. If they do not converge, as dp_step; if it is not a state, the step fails. */
 DP_API int dp_step_near(const dp_model* m, const double* x, const double* u, const double* near,
                         double* x_next, dp_info* info);
-/* N steps: u (N x nu), xs ((N+1) x nx) with xs[0] = x0 given. Returns the number of failed solves; the states
- * after x0 are finite. */
+/* N steps: u (N x nu), xs ((N+1) x nx) with xs[0] = x0 given. Returns the number of failed solves;
+ * the states after x0 are finite. */
 DP_API int dp_rollout(const dp_model* m, int N, const double* u, double* xs,
                       long* iterations);
-/* A step of each of n robots: x and x_next (n x nx), u (n x nu), failed (n) as dp_step returns. Returns how
- * many failed. */
-DP_API int dp_step_many(const dp_model* m, int n, const double* x, const double* u, double* x_next, int nu,
-                        int* failed);
-/* Jacobians of x_next, row-major: A (nx x nx), B (nx x nu), at a solved step. Returns 0,
- * or 1 (singular, not a solved step, or not finite): A and B are then of no use. The adjoints likewise. */
+/* A step of each of n robots: x and x_next (n x nx), u (n x nu), failed (n) as dp_step returns.
+ * Returns how many failed. */
+DP_API int dp_step_many(const dp_model* m, int n, const double* x, const double* u, double* x_next,
+                        int nu, int* failed);
+/* Jacobians of x_next, row-major: A (nx x nx), B (nx x nu), at a solved step. Returns 0, or 1
+ * (singular, not a solved step, or not finite): A and B are of no use. Adjoints likewise. */
 DP_API int dp_step_jac(const dp_model* m, const double* x, const double* u,
                        const double* x_next, double* A, double* B);
 /* Adjoint: gx = A^T g_next, gu = B^T g_next (overwritten). */
@@ -115,13 +119,15 @@ DP_API int dp_rollout_adj(const dp_model* m, int N, const double* u,
 
 /* Energies and momenta of a state: out[0] kinetic, [1] elastic, [2] potential (gravity, righting),
  * [3..5] linear momentum, [6..8] angular momentum about the world origin; uses the discrete
- * velocity of the step that led to x. */
+ * velocity of the step that led to x, as if that had not been divided (dp_info.division). */
 DP_API void dp_energy(const dp_model* m, const double* x, double out[9]);
 
-/* Contact forces in state x, which a step has reached: positions, forces on the body (normal and
- * friction), both (n_c x 3), and gaps (n_c): least distance to the terrain. Returns how many touch. */
-DP_API int dp_contacts(const dp_model* m, const double* x, double* points, double* forces, double* gaps);
-/* Distance of a point to the terrain, near it (the least over its parts), and the outward normal. */
+/* Contact forces in state x, which a step has reached, not divided: positions, forces on the body
+ * (normal and friction), both (n_c x 3), and gaps (n_c): least distance to the terrain. Returns how
+ * many touch. */
+DP_API int dp_contacts(const dp_model* m, const double* x, double* points, double* forces,
+                       double* gaps);
+/* Distance of a point to the terrain, near it (the least of its parts), and the outward normal. */
 DP_API double dp_terrain_gap(const double* terrain, const double p[3], double normal[3]);
 /* World positions of the model's feet (n_feet x 3), and if not NULL their Jacobian
  * (3 n_feet x (7 + r), row-major) over qpos. */
@@ -130,18 +136,19 @@ DP_API void dp_feet(const dp_model* m, const double* qpos, double* points, doubl
 /* World positions of the surface points, (n_s x 3) row-major. */
 DP_API void dp_surface(const double* blob, const double* qpos, double* points);
 /* Smallest signed distance between the surface points and the geoms (positive outside), at most
- * `cutoff`; *geom and *point (may be NULL) say where, -1 if none is nearer than the cutoff. NaN if qpos is not
- * finite. */
+ * `cutoff`; *geom and *point (may be NULL) say where, -1 if none is nearer than the cutoff. NaN if
+ * qpos is not finite. */
 DP_API double dp_clearance(const double* blob, const double* qpos, int n_geom, const dp_geom* geoms,
                            double cutoff, int* geom, int* point);
 /* Signed distance of one point to one geom, and its outward gradient (normal, may be NULL). */
 DP_API double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]);
 
 /* CasADi (casadi.c) can pass numbers only: a slot holds a copy of a model for its functions
- * defplan_step_<ss> (steps = 1), defplan_rollout_<ss> and, with feet, defplan_feet_<ss>, ss being the
- * slot in two digits. `key` (at most 64 characters) names the model; with `share` a slot of the same key
- * and steps is taken once more. Returns the slot, -1 if all are taken, -2 if the model or steps is wrong,
- * -3 if there is no memory. Close it once the functions are made: it lives as long as they do. */
+ * defplan_step_<ss> (steps = 1), defplan_rollout_<ss> and, with feet, defplan_feet_<ss>, ss being
+ * the slot in two digits. `key` (at most 64 characters) names the model; with `share` a slot of the
+ * same key and steps is taken once more. Returns the slot, -1 if all are taken, -2 if the model or
+ * steps is wrong, -3 if there is no memory. Close it once the functions are made: it lives as long
+ * as they do. */
 DP_API int dp_slot_open(const dp_model* m, int steps, const char* key, int share);
 DP_API void dp_slot_close(int slot);
 /* The second of a function's config_args (the first is the key): what its sizes are. */

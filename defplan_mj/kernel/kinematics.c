@@ -1,107 +1,9 @@
 /* Rotation-strain kinematics: zeta(q) = (1, z(q)) with its first and second derivatives, and the
  * linear maps over the basis. F_e = exp([w]) (I + E), w and E linear in q (Pan et al. [22]). */
-#include "work.h"
+#include "kinematics.h"
 
-enum { FEET_HEADER = 8 }; /* size, number */
-
-static int padded(int n) { return (n + PAD - 1) / PAD * PAD; }
-
-int body_view(Body* b, const double* blob, size_t n) {
-  if (!blob || n < HEADER || blob[0] != BLOB_MAGIC) return -1;
-  if (blob[1] != BLOB_VERSION) return -2;
-  if (blob[2] != (double)n) return -3;
-  static const int counts[] = {3, 4, 5, 6, 7, 10};
-  for (int i = 0; i < 6; i++)
-    if (!is_count(blob[counts[i]], 1e7)) return -4;
-  if (!(blob[8] > 0 && blob[9] >= 0 && is_finite(blob, HEADER))) return -4;
-  b->r = (int)blob[3], b->k = (int)blob[4], b->n_samples = (int)blob[5];
-  b->n_patches = (int)blob[6], b->n_surface = (int)blob[7];
-  b->mass = blob[8], b->radius = blob[9], b->n_contacts = (int)blob[10];
-  if (b->r < 1 || b->r > DP_MAX_MODES || b->k < 1 || b->k > DP_MAX_BASIS) return -4;
-  if (b->n_samples < 1 || b->n_samples > DP_MAX_SAMPLES) return -4;
-  if (b->n_patches < 0 || b->n_patches > DP_MAX_POINTS || b->n_surface < 0) return -4;
-  if (b->n_contacts < 0 || b->n_contacts > DP_MAX_CONTACTS) return -4;
-  b->rp = padded(b->r), b->kp = padded(b->k + 1), b->nf = 9 * padded(b->n_samples);
-  b->np = padded(b->n_patches), b->ns = padded(b->n_surface), b->nc = padded(b->n_contacts);
-  const double* p = blob + HEADER;
-  size_t kp = b->kp;
-  b->stiffness = p, p += b->rp;
-  b->features = p, p += (size_t)b->nf * b->r;
-  b->weights_t = p, p += b->nf * kp;
-  b->weights = p, p += kp * b->nf;
-  b->moments = p, p += kp * 9 * kp;
-  b->trace = p, p += kp;
-  b->points = p, p += kp * 3 * b->np;
-  b->tangent1 = p, p += kp * 3 * b->np;
-  b->tangent2 = p, p += kp * 3 * b->np;
-  b->areas = p, p += b->np;
-  b->surface = p, p += kp * 3 * b->ns;
-  b->contacts = p, p += kp * 3 * b->nc;
-  return p == blob + n ? 0 : -3;
-}
-
-int body_view_own(Body* b, const double* blob) {
-  if (!blob || !is_count(blob[2], 1e9)) return -3;
-  return body_view(b, blob, (size_t)blob[2]);
-}
-
-int dp_check(const double* blob, size_t n) {
-  Body b;
-  return body_view(&b, blob, n);
-}
-
-int parts_view(Parts* p, const dp_model* m) {
-  p->model = m;
-  if (body_view_own(&p->body, m->body)) return NO_BODY;
-  if (m->terrain && !is_count(m->terrain[0], 1e9)) return -3;
-  if (terrain_view(&p->terrain, m->terrain, m->terrain ? (size_t)m->terrain[0] : 0)) return -3;
-  if (m->feet && !is_count(m->feet[0], 1e9)) return -3;
-  if (feet_view(&p->feet, &p->body, m->feet, m->feet ? (size_t)m->feet[0] : 0)) return -3;
-  p->nu = p->body.r + 3 * p->feet.n, p->substeps = 1, p->euler = 0;
-  const double* par = m->par;
-  if (!par) return 0; /* geometry only */
-  if (!is_finite(par, DP_N_PAR)) return -2;
-  static const int positive[] = {DP_FLUID_DENSITY, DP_DRAG_NORMAL, DP_DRAG_TANGENT, DP_CONTROL, DP_DAMPING};
-  for (int i = 0; i < 5; i++)
-    if (par[positive[i]] < 0) return -2;
-  if (!(par[DP_TIMESTEP] > 0 && par[DP_TIMESTEP] < 1e6 && par[DP_TOLERANCE] > 0 && par[DP_MAX_NEWTON] >= 1)) return -2;
-  if (!is_count(par[DP_SUBSTEPS], DP_MAX_SUBSTEPS) || par[DP_SUBSTEPS] < 1) return -2;
-  if (!is_count(par[DP_INTEGRATOR], DP_IMPLICIT_EULER)) return -2;
-  p->substeps = (int)par[DP_SUBSTEPS], p->euler = par[DP_INTEGRATOR] == DP_IMPLICIT_EULER;
-  return 0;
-}
-
-int dp_check_model(const dp_model* m) {
-  Parts p;
-  const int wrong = parts_view(&p, m);
-  if (wrong) return wrong;
-  if (!is_finite(m->body, (size_t)m->body[2])) return -5;
-  if (m->terrain && !is_finite(m->terrain, (size_t)m->terrain[0])) return -5;
-  return m->feet && !is_finite(m->feet, (size_t)m->feet[0]) ? -5 : 0;
-}
-
-void dp_sizes(const double* blob, int sizes[5]) {
-  static const int at[5] = {3, 4, 6, 7, 10};
-  for (int i = 0; i < 5; i++) sizes[i] = (int)blob[at[i]];
-}
-
-int feet_view(Feet* f, const Body* b, const double* feet, size_t n) {
-  f->n = f->np = 0, f->field = NULL;
-  if (!feet) return 0;
-  if (n < FEET_HEADER || feet[0] != (double)n) return -3;
-  if (!is_count(feet[1], DP_MAX_FEET) || feet[1] < 1) return -4;
-  f->n = (int)feet[1], f->np = padded(f->n), f->field = feet + FEET_HEADER;
-  return n == FEET_HEADER + (size_t)3 * b->kp * f->np ? 0 : -3;
-}
-
-int dp_check_feet(const double* blob, const double* feet, size_t n) {
-  Body b;
-  Feet f;
-  return body_view_own(&b, blob) || feet_view(&f, &b, feet, n);
-}
-
-/* Coefficients of exp([w]) = I + a [w] + b [w]^2 as functions of T = |w|^2, and a1 = 2 da/dT,
- * a2 = 2 da1/dT, likewise b, so that da/dw = a1 w. Their series: exact to the last digit up to T = 4;
+/* Coefficients of exp([w]) = I + a [w] + b [w]^2 as functions of T = |w|^2, and a1 = 2 da/dT, a2 =
+ * 2 da1/dT, likewise b, so that da/dw = a1 w. Their series: exact to the last digit up to T = 4;
  * the closed forms lose digits near zero. */
 enum { TERMS = 12 };
 static const double SERIES_END = 4;
@@ -110,11 +12,11 @@ static const double EXP_SERIES[6][TERMS] = {
      -1. / 1307674368000., 1. / 355687428096000., -1. / 121645100408832000.,
      1. / 51090942171709440000., -1. / 25852016738884976640000.}, /* a */
     {1. / 2., -1. / 24., 1. / 720., -1. / 40320., 1. / 3628800., -1. / 479001600.,
-     1. / 87178291200., -1. / 20922789888000., 1. / 6402373705728000.,
-     -1. / 2432902008176640000., 1. / 1124000727777607680000., -1. / 620448401733239439360000.}, /* b */
+     1. / 87178291200., -1. / 20922789888000., 1. / 6402373705728000., -1. / 2432902008176640000.,
+     1. / 1124000727777607680000., -1. / 620448401733239439360000.}, /* b */
     {-1. / 3., 1. / 30., -1. / 840., 1. / 45360., -1. / 3991680., 1. / 518918400.,
-     -1. / 93405312000., 1. / 22230464256000., -1. / 6758061133824000.,
-     1. / 2554547108585472000., -1. / 1175091669949317120000., 1. / 646300418472124416000000.}, /* a1 */
+     -1. / 93405312000., 1. / 22230464256000., -1. / 6758061133824000., 1. / 2554547108585472000.,
+     -1. / 1175091669949317120000., 1. / 646300418472124416000000.}, /* a1 */
     {-1. / 12., 1. / 180., -1. / 6720., 1. / 453600., -1. / 47900160., 1. / 7264857600.,
      -1. / 1494484992000., 1. / 400148356608000., -1. / 135161222676480000.,
      1. / 56200036388880384000., -1. / 28202200078783610880000.,
@@ -129,7 +31,7 @@ static const double EXP_SERIES[6][TERMS] = {
      -1. / 488603116364926058496000000.}, /* b2 */
 };
 
-/* The same by closed forms: out[0], out[LANES], ...: a, b, a1, b1, a2, b2, each in a lane of its vector */
+/* The same by closed forms: out[0], out[LANES], ...: a, b, a1, b1, a2, b2, in a lane each */
 static void exp_closed(double t2, double* out) {
   const double t = sqrt(t2), c = cos(t);
   double s[6] = {sin(t) / t, (1 - c) / t2};
@@ -185,7 +87,8 @@ void kinematics(const Body* b, const double* q, int derivatives, double* restric
     else exp_coef(t2, 2, coef);
     const Vec a = coef[0], bb = coef[1], zero = {0};
     strain_matrix(x, Y);
-    W[0] = W[4] = W[8] = zero, W[1] = -x[2], W[2] = x[1], W[3] = x[2], W[5] = -x[0], W[6] = -x[1], W[7] = x[0];
+    W[0] = W[4] = W[8] = zero, W[1] = -x[2], W[2] = x[1], W[3] = x[2], W[5] = -x[0], W[6] = -x[1],
+    W[7] = x[0];
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++) E[3 * i + j] = a * W[3 * i + j] + bb * x[i] * x[j];
     for (int i = 0; i < 3; i++) E[4 * i] += 1 - bb * t2;
@@ -210,11 +113,13 @@ void kinematics(const Body* b, const double* q, int derivatives, double* restric
         static const int strain_index[9] = {3, 4, 5, 4, 6, 7, 5, 7, 8}; /* of Y_lj in x */
         Vec g[3];
         for (int n = 0; n < 3; n++)
-          g[n] = D[9 * n + 3 * i] * Y[j] + D[9 * n + 3 * i + 1] * Y[3 + j] + D[9 * n + 3 * i + 2] * Y[6 + j];
+          g[n] = D[9 * n + 3 * i] * Y[j] + D[9 * n + 3 * i + 1] * Y[3 + j] +
+                 D[9 * n + 3 * i + 2] * Y[6 + j];
         for (int c = 0; c < r; c++) {
           Vec s = zero;
           for (int n = 0; n < 3; n++) s += g[n] * load(L + (n * r + c) * lanes);
-          for (int l = 0; l < 3; l++) s += E[3 * i + l] * load(L + (strain_index[3 * l + j] * r + c) * lanes);
+          for (int l = 0; l < 3; l++)
+            s += E[3 * i + l] * load(L + (strain_index[3 * l + j] * r + c) * lanes);
           *(Vec*)(df + (size_t)c * nf + (3 * i + j) * lanes + LANES * e) = s;
         }
       }
@@ -232,12 +137,14 @@ void kinematics_curvature(const Body* b, const double* grad, double* restrict sc
     const double* L = b->features + LANES * e;
     const Vec *x = (const Vec*)scratch + PER_BLOCK * e, *D = x + 9, *coef = x + 45;
     const Vec bb = coef[1], a1 = coef[2], b1 = coef[3], a2 = coef[4], b2 = coef[5], zero = {0};
-    Vec A[9], Y[9], AY[9], al[3], Bw[3], Hw[9], Hm[18]; /* second derivatives: w w (3 x 3), w strain (3 x 6) */
+    Vec A[9], Y[9], AY[9], al[3], Bw[3];
+    Vec Hw[9], Hm[18]; /* second derivatives: w w (3 x 3), w strain (3 x 6) */
     for (int i = 0; i < 9; i++) A[i] = load(As + i * lanes + LANES * e);
     strain_matrix(x, Y);
     for (int i = 0; i < 3; i++)
       for (int j = 0; j < 3; j++)
-        AY[3 * i + j] = A[3 * i] * Y[3 * j] + A[3 * i + 1] * Y[3 * j + 1] + A[3 * i + 2] * Y[3 * j + 2];
+        AY[3 * i + j] =
+            A[3 * i] * Y[3 * j] + A[3 * i + 1] * Y[3 * j + 1] + A[3 * i + 2] * Y[3 * j + 2];
     const Vec tr = AY[0] + AY[4] + AY[8];
     al[0] = AY[7] - AY[5], al[1] = AY[2] - AY[6], al[2] = AY[3] - AY[1];
     for (int i = 0; i < 3; i++) {
@@ -255,8 +162,10 @@ void kinematics_curvature(const Body* b, const double* grad, double* restrict sc
       Vec N[9], *h = Hm + 6 * n;
       for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
-          N[3 * i + j] = D[9 * n + i] * A[j] + D[9 * n + 3 + i] * A[3 + j] + D[9 * n + 6 + i] * A[6 + j];
-      h[0] = N[0], h[1] = N[1] + N[3], h[2] = N[2] + N[6], h[3] = N[4], h[4] = N[5] + N[7], h[5] = N[8];
+          N[3 * i + j] =
+              D[9 * n + i] * A[j] + D[9 * n + 3 + i] * A[3 + j] + D[9 * n + 6 + i] * A[6 + j];
+      h[0] = N[0], h[1] = N[1] + N[3], h[2] = N[2] + N[6], h[3] = N[4], h[4] = N[5] + N[7],
+      h[5] = N[8];
     }
     for (int c = 0; c < r; c++) {
       Vec T[9]; /* second derivatives times column c */
@@ -284,16 +193,88 @@ void moments_apply(const Body* b, int m, const double* zeta, double* restrict ou
   multiply(m, zeta, b->kp, 1, b->moments, b->k + 1, 9 * b->kp, out);
 }
 
-void field_apply(const Body* b, const double* field, int m, const double* zeta, int n, double* restrict out) {
+void to_world(const double* A, const double* N, const double* B, double* out) {
+  double T[9];
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++)
+      T[3 * i + j] = A[3 * i] * N[j] + A[3 * i + 1] * N[3 + j] + A[3 * i + 2] * N[6 + j];
+  mul_mmt(T, B, out);
+}
+
+void moments_turn(double factor, const double* A, const double* P, int kp, double* T) {
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) {
+      double* restrict Tij = T + (3 * i + j) * kp;
+      for (int m = 0; m < 3; m++) {
+        const double f = factor * A[3 * i + m], *restrict Pjm = P + (3 * j + m) * kp;
+        for (int a = 0; a < kp; a++) Tij[a] += f * Pjm[a];
+      }
+    }
+}
+
+void moments_contract(double factor, const double* A, const double* restrict T, int kp,
+                      double* restrict out) {
+  for (int a = 0; a < kp; a++) {
+    double s = 0;
+    for (int i = 0; i < 9; i++) s += A[i] * T[i * kp + a];
+    out[a] += factor * s;
+  }
+}
+
+void field_apply(const Body* b, const double* field, int m, const double* zeta, int n,
+                 double* restrict out) {
   multiply(m, zeta, b->kp, 1, field, b->k + 1, 3 * n, out);
 }
 
-void field_transpose(const Body* b, const double* field, const double* restrict v, int n,
-                     double* restrict out) {
-  for (int a = 0; a <= b->k; a++) {
-    const double* restrict row = field + (size_t)a * 3 * n;
-    double s = 0;
-    for (int i = 0; i < 3 * n; i++) s += row[i] * v[i];
-    out[a] += s;
+void field_transpose(const Body* b, const double* field, const double* v, int n, double* out) {
+  products(v, 1, field, b->k + 1, 3 * n, out, 1);
+}
+
+void places_pull(const Body* b, const double* field, const double* R, const double* y,
+                 const double* g, int n, double* local, double* out, double* gz) {
+  double turn[3];
+  sum_cross(y, g, n, turn);
+  for (int i = 0; i < 3; i++) out[i] += sum(g + i * n, n), out[3 + i] += turn[i];
+  rotate_back(R, g, n, local);
+  field_transpose(b, field, local, n, gz);
+}
+
+void modes_along(const Body* b, const double* dz, const double* lambda, double* restrict out) {
+  for (int a = 0; a < b->kp; a++) out[a] = 0;
+  for (int c = 0; c < b->r; c++)
+    for (int a = 0; a < b->kp; a++) out[a] += lambda[c] * dz[c * b->kp + a];
+}
+
+void points_along(const Body* b, const double* field, const double* R, const double* restrict y,
+                  const double* l, const double* along, int n, double* local,
+                  double* restrict out) {
+  field_apply(b, field, 1, along, n, local); /* along of the rest shape is 0 */
+  rotate(R, local, n, out);
+  for (int s = 0; s < n; s++) {
+    const double px = y[s], py = y[n + s], pz = y[2 * n + s];
+    out[s] += l[0] + l[4] * pz - l[5] * py;
+    out[n + s] += l[1] + l[5] * px - l[3] * pz;
+    out[2 * n + s] += l[2] + l[3] * py - l[4] * px;
+  }
+}
+
+void point_jacobian(const double* y, const double* Jq, int r, int stride, double J[3][ROW]) {
+  memset(J, 0, 3 * ROW * sizeof(double));
+  for (int i = 0; i < 3; i++) {
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    J[i][i] = 1, J[i][3 + j] = y[k * stride], J[i][3 + k] = -y[j * stride]; /* t x y */
+    for (int c = 0; c < r; c++) J[i][6 + c] = Jq[(3 * c + i) * stride];
+  }
+}
+
+void point_product(double J1[3][ROW], const double* D, double J2[3][ROW], int n, double* sums) {
+  double DJ[3][ROW];
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < ROW; j++)
+      DJ[i][j] = D[3 * i] * J2[0][j] + D[3 * i + 1] * J2[1][j] + D[3 * i + 2] * J2[2][j];
+  for (int a = 0; a < n; a++) {
+    const double x = J1[0][a], y = J1[1][a], z = J1[2][a];
+    double* restrict row = sums + a * ROW;
+    for (int j = 0; j < ROW; j++) row[j] += x * DJ[0][j] + y * DJ[1][j] + z * DJ[2][j];
   }
 }

@@ -1,5 +1,5 @@
 /* Small dense linear algebra of the Newton iterations. */
-#include "work.h"
+#include "linear.h"
 
 int cholesky(const double* A, int n, double* L) {
   for (int j = 0; j < n; j++) {
@@ -82,11 +82,13 @@ void lu_solve_transposed(const double* LU, const int* pivot, int n, const double
 }
 
 int factorise(Factors* f, const double* A, int n, int symmetric) {
-  int sign;
-  f->n = n, f->symmetric = symmetric;
+  f->n = n, f->symmetric = symmetric, f->sign = 1;
   if (symmetric) return cholesky(A, n, f->A);
+  int sign;
   memcpy(f->A, A, sizeof(double) * n * n);
-  return lu(f->A, n, f->pivot, &sign);
+  const int done = lu(f->A, n, f->pivot, &sign);
+  f->sign = sign;
+  return done;
 }
 void solve(const Factors* f, const double* rhs, double* x) {
   if (f->symmetric) cholesky_solve(f->A, f->n, rhs, x);

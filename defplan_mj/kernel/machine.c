@@ -1,5 +1,5 @@
-/* Whether this machine has the instructions that the library was compiled for; see library.py. It is
- * compiled for the least machine of its kind, so that it runs where the rest would not. */
+/* Whether this machine has the instructions that the library was compiled for; see library.py. It
+ * is compiled for the least machine of its kind, so that it runs where the rest would not. */
 #include "kernel.h"
 
 #if defined(__x86_64__) && defined(__GNUC__)
@@ -42,7 +42,9 @@ __attribute__((target("arch=x86-64"), noinline)) static const char* missing(void
 #endif
   return "";
 }
-__attribute__((target("arch=x86-64"))) const char* dp_missing_instructions(void) { return missing(); }
+__attribute__((target("arch=x86-64"))) const char* dp_missing_instructions(void) {
+  return missing();
+}
 #else
 const char* dp_missing_instructions(void) { return ""; }
 #endif

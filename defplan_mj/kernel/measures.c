@@ -1,8 +1,11 @@
-/* Measures of a state: energies, momenta, surface, contact, feet. */
-#include "work.h"
-
-/* The first address of 64 bytes in memory that has PAD doubles to spare. */
-static double* aligned(double* memory) { return (double*)(((size_t)memory + 63) / 64 * 64); }
+/* Measures of a state: energies, momenta, surface, clearance, contact, feet.
+ *
+ * dp_energy and dp_contacts take the configuration before to be h = timestep/substeps earlier, by
+ * the state's velocity. If the last step was divided, its last substep was shorter, and its
+ * velocity is over that: a state does not tell, so they then speak of an interval that was not one
+ * of the step's. */
+#include "kinematics.h"
+#include "state.h"
 
 void dp_energy(const dp_model* m, const double* x, double out[9]) {
   Parts p;
@@ -14,30 +17,29 @@ void dp_energy(const dp_model* m, const double* x, double out[9]) {
   const double h = par[DP_TIMESTEP] / p.substeps, ih = 1 / h, *v = x + 7 + r;
   Pose now, before;
   state_nodes(r, x, h, &now, &before);
-  double zeta[2][DP_MAX_BASIS + 2 * PAD], scratch[kinematics_scratch(b) + PAD], P[9 * kp], R[2][9];
-  kinematics(b, now.q, 0, zeta[0], aligned(scratch)), kinematics(b, before.q, 0, zeta[1], aligned(scratch));
+  double zeta[2][MAX_ZETA], scratch[kinematics_scratch(b) + PAD], P[9 * kp], R[2][9];
+  kinematics(b, now.q, 0, zeta[0], aligned(scratch));
+  kinematics(b, before.q, 0, zeta[1], aligned(scratch));
   quat_matrix(now.quat, R[0]), quat_matrix(before.quat, R[1]);
   /* N = sum_v m_v (R_1 y_1) (R_0 y_0)^T */
-  double N[9], Q[9], RQ[9];
-  moments_apply(b, 1, zeta[1], P); /* P_a,ij = sum_v m Phi_a,i y_0,j */
-  for (int i = 0; i < 9; i++) Q[i] = inner(P + i * kp, zeta[0], kp);
-  for (int i = 0; i < 3; i++)
-    for (int j = 0; j < 3; j++)
-      RQ[3 * i + j] = R[0][3 * i] * Q[j] + R[0][3 * i + 1] * Q[3 + j] + R[0][3 * i + 2] * Q[6 + j];
-  for (int i = 0; i < 3; i++)
-    for (int j = 0; j < 3; j++) N[3 * i + j] = dot3(RQ + 3 * i, R[1] + 3 * j);
+  double N[9], Q[9];
+  moments_apply(b, 1, zeta[1], P);
+  moments_pair(P, zeta[0], kp, Q);
+  to_world(R[0], Q, R[1], N);
   double spread = -2 * (N[0] + N[4] + N[8]);
   for (int t = 0; t < 2; t++)
     for (int a = 0; a < kp; a++) spread += (2 * b->trace[a] + zeta[t][a]) * zeta[t][a];
   out[0] = .5 * b->mass * dot3(v, v) + .5 * ih * ih * spread;
-  /* the variational step takes elasticity at the middle of an interval, righting and gravity at its ends */
+  /* the variational step takes elasticity at an interval's middle, other potentials at its ends */
   const double share = p.euler ? 1 : .5;
   for (int c = 0; c < r; c++) {
     const double q = share * now.q[c] + (1 - share) * before.q[c];
     out[1] += .5 * b->stiffness[c] * q * q;
   }
-  const double z = x[2] + (1 - share) * before.c[2], upright = share * R[0][8] + (1 - share) * R[1][8];
-  out[2] = -b->mass * par[DP_GRAVITY] * z + b->mass * STANDARD_GRAVITY * par[DP_RIGHTING] * (1 - upright);
+  const double z = x[2] + (1 - share) * before.c[2];
+  const double upright = share * R[0][8] + (1 - share) * R[1][8];
+  out[2] = -b->mass * par[DP_GRAVITY] * z +
+           b->mass * STANDARD_GRAVITY * par[DP_RIGHTING] * (1 - upright);
   double orbit[3], momentum[3], spin[3];
   for (int i = 0; i < 3; i++) out[3 + i] = momentum[i] = b->mass * v[i];
   cross3(x, momentum, orbit);
@@ -50,7 +52,7 @@ void dp_surface(const double* blob, const double* qpos, double* points) {
   Parts p;
   if (parts_view(&p, &model)) return;
   const Body b = p.body;
-  double quat[4], R[9], zeta[DP_MAX_BASIS + 2 * PAD], scratch[kinematics_scratch(&b) + PAD];
+  double quat[4], R[9], zeta[MAX_ZETA], scratch[kinematics_scratch(&b) + PAD];
   memcpy(quat, qpos + 3, sizeof quat);
   quat_normalize(quat), quat_matrix(quat, R);
   kinematics(&b, qpos + 7, 0, zeta, aligned(scratch));
@@ -70,9 +72,39 @@ void dp_surface(const double* blob, const double* qpos, double* points) {
   }
 }
 
+double dp_clearance(const double* blob, const double* qpos, int n_geom, const dp_geom* geoms,
+                    double cutoff, int* geom, int* point) {
+  Body b;
+  double best = cutoff;
+  if (geom) *geom = -1;
+  if (point) *point = -1;
+  if (body_view_own(&b, blob)) return best;
+  if (!is_finite(qpos, 7 + b.r)) return NAN;
+  /* the surface stays within 1.5 times its largest rest distance from the centre of mass */
+  const double reach = 1.5 * b.radius;
+  int near = 0;
+  for (int i = 0; i < n_geom && !near; i++)
+    near = dp_geom_distance(geoms + i, qpos, NULL) < reach + cutoff;
+  if (!near) return best;
+  double points[3 * (b.n_surface > 0 ? b.n_surface : 1)];
+  dp_surface(blob, qpos, points);
+  for (int i = 0; i < n_geom; i++) {
+    if (!(dp_geom_distance(geoms + i, qpos, NULL) < reach + best)) continue;
+    for (int s = 0; s < b.n_surface; s++) {
+      double d = dp_geom_distance(geoms + i, points + 3 * s, NULL);
+      if (d < best) {
+        best = d;
+        if (geom) *geom = i;
+        if (point) *point = s;
+      }
+    }
+  }
+  return best;
+}
+
 /* World places of the contact points in a configuration, 3 x nc. */
 static void contact_places(const Body* b, const double* origin, const Pose* at, double* out) {
-  double R[9], zeta[DP_MAX_BASIS + 2 * PAD], scratch[kinematics_scratch(b) + PAD], local[3 * DP_MAX_CONTACTS];
+  double R[9], zeta[MAX_ZETA], scratch[kinematics_scratch(b) + PAD], local[3 * DP_MAX_CONTACTS];
   quat_matrix(at->quat, R);
   kinematics(b, at->q, 0, zeta, aligned(scratch));
   field_apply(b, b->contacts, 1, zeta, b->nc, local);
@@ -98,7 +130,8 @@ int dp_contacts(const dp_model* m, const double* x, double* points, double* forc
     double place[3], v[3], normal[3], D[9] = {0}, F[9] = {0};
     int touching = 0;
     for (int i = 0; i < 3; i++) {
-      place[i] = points[3 * s + i] = now[i * nc + s], v[i] = (now[i * nc + s] - then[i * nc + s]) / h;
+      place[i] = points[3 * s + i] = now[i * nc + s];
+      v[i] = (now[i * nc + s] - then[i * nc + s]) / h;
     }
     for (int part = 0; part < parts; part++)
       touching |= contact_law(&p.terrain, p.terrain.friction, part, place, v, forces + 3 * s, D, F);
@@ -113,9 +146,9 @@ void dp_feet(const dp_model* m, const double* qpos, double* points, double* jaco
   if (parts_view(&p, m)) return;
   const int n = p.feet.n, np = p.feet.np, r = p.body.r, nq = 7 + r;
   if (!n) return;
-  double zeta[(1 + DP_MAX_MODES) * (DP_MAX_BASIS + 2 * PAD)], scratch[kinematics_scratch(&p.body) + PAD];
-  double norm = 0, quat[4], R[9], local[(1 + DP_MAX_MODES) * 3 * DP_MAX_FEET], world[(1 + DP_MAX_MODES) * 3 * DP_MAX_FEET];
-  for (int i = 0; i < 4; i++) norm += qpos[3 + i] * qpos[3 + i];
+  double zeta[(1 + DP_MAX_MODES) * MAX_ZETA], scratch[kinematics_scratch(&p.body) + PAD];
+  double quat[4], R[9], local[(1 + DP_MAX_MODES) * 3 * DP_MAX_FEET];
+  double world[(1 + DP_MAX_MODES) * 3 * DP_MAX_FEET];
   memcpy(quat, qpos + 3, sizeof quat);
   quat_normalize(quat), quat_matrix(quat, R);
   kinematics(&p.body, qpos + 7, 1, zeta, aligned(scratch));
@@ -129,12 +162,10 @@ void dp_feet(const dp_model* m, const double* qpos, double* points, double* jaco
       double* row = jacobian + (size_t)(3 * s + i) * nq;
       for (int j = 0; j < 3; j++) row[j] = i == j;
       for (int c = 0; c < r; c++) row[7 + c] = world[((1 + c) * 3 + i) * np + s];
-      /* a turn t moves the point by t x y; dt over the quaternion as in step.c's pull_input */
-      double g[3] = {0}, cr[3];
+      /* a turn t moves the point by t x y */
+      double g[3] = {0};
       g[(i + 1) % 3] = y[(i + 2) % 3], g[(i + 2) % 3] = -y[(i + 1) % 3];
-      cross3(qpos + 4, g, cr);
-      row[3] = -2 * dot3(g, qpos + 4) / norm;
-      for (int k = 0; k < 3; k++) row[4 + k] = 2 * (qpos[3] * g[k] - cr[k]) / norm;
+      quaternion_pull(qpos + 3, g, row + 3);
     }
   }
 }

@@ -1,44 +1,17 @@
-/* A control step: substeps from node to node of a path, by the integrator of the options, with their
- * derivatives by the implicit function theorem; rollouts.
+/* A control step: substeps from node to node of a path, by the integrator of the options, with
+ * their derivatives by the implicit function theorem; rollouts.
  *
- * The state holds the last node and, in its velocities, the one before; they are recomputed from it, so
- * that a saved state replays to the bit. A substep without a solution is divided: the whole step is done
- * again with twice as many. */
+ * The state holds the last node and, in its velocities, the one before; they are recomputed from
+ * it, so that a saved state replays to the bit. A substep without a solution is divided: the whole
+ * step is done again with twice as many. */
 
+#include "euler.h"
 #include "path.h"
 
 /* --- states and nodes */
 
 static double substep(const Parts* p, int division) {
   return p->model->par[DP_TIMESTEP] / (p->substeps * division);
-}
-
-void state_nodes(int r, const double* x, double h, Pose* last, Pose* before) {
-  const double *v = x + 7 + r, *omega = v + 3, *qdot = v + 6;
-  double turn[3], back[4];
-  memcpy(last->quat, x + 3, sizeof last->quat);
-  quat_normalize(last->quat);
-  for (int i = 0; i < 3; i++) last->c[i] = 0, before->c[i] = -h * v[i], turn[i] = -h * omega[i];
-  quat_exp(turn, back);
-  quat_mul(last->quat, back, before->quat);
-  memset(last->q, 0, sizeof last->q), memset(before->q, 0, sizeof before->q);
-  for (int c = 0; c < r; c++) last->q[c] = x[7 + c], before->q[c] = x[7 + c] - h * qdot[c];
-}
-
-/* The state of nodes whose places are told from `origin`. */
-static void pack(int r, const double* origin, const Pose* last, const Pose* before, const double* u, double h,
-                 double* x) {
-  const double ih = 1 / h, back[4] = {before->quat[0], -before->quat[1], -before->quat[2], -before->quat[3]};
-  double turn[4], omega[3], *v = x + 7 + r;
-  quat_mul(back, last->quat, turn);
-  quat_log(turn, omega);
-  for (int i = 0; i < 3; i++) {
-    x[i] = origin[i] + last->c[i];
-    v[i] = (last->c[i] - before->c[i]) * ih, v[3 + i] = omega[i] * ih;
-  }
-  memcpy(x + 3, last->quat, sizeof last->quat);
-  for (int c = 0; c < r; c++) x[7 + c] = last->q[c], v[6 + c] = (last->q[c] - before->q[c]) * ih;
-  memcpy(x + 13 + 2 * r, u, sizeof(double) * r);
 }
 
 /* --- one substep, by either integrator */
@@ -52,23 +25,21 @@ typedef struct {
   Work work;
   Path path;
   double spent;               /* multiplications since the step began: DP_MAX_WORK ends it */
-  const double* origin;       /* what the nodes' places are told from: x's, so that no digit is lost */
+  const double* origin; /* what the nodes' places are told from: x's, so that no digit is lost */
   double input[DP_MAX_INPUT]; /* of the substep */
 } Solver;
 
 static size_t solver_lay(Solver* s, const Parts* parts, double* memory) {
   s->parts = parts, s->euler = parts->euler, s->n = 6 + parts->body.r;
   s->spent = 0, s->work.spent = s->path.spent = &s->spent;
-  if (!parts->euler) return path_lay(&s->path, parts, memory);
-  if (memory) work_init(&s->work, memory, &parts->body, parts->model, &parts->terrain, &parts->feet);
-  return work_size(&parts->body, &parts->terrain, &parts->feet);
+  return s->euler ? work_lay(&s->work, parts, memory) : path_lay(&s->path, parts, memory);
 }
 #define SOLVER(s, parts)                                                 \
   Solver s;                                                              \
   double memory_of_##s[solver_lay(&s, parts, NULL) + PAD];               \
-  solver_lay(&s, parts, (double*)(((size_t)memory_of_##s + 63) / 64 * 64))
+  solver_lay(&s, parts, aligned(memory_of_##s))
 
-/* Share of the new target in that of substep k of n: at its node 1, or for implicit Euler at its end. */
+/* Share of the new target in that of substep k of n: at node 1, for implicit Euler at its end. */
 static double share_of(const Parts* p, int k, int n) { return (double)(p->euler ? k + 1 : k) / n; }
 
 /* Target of substep k of n on its way from the last one; the forces on the feet are held. */
@@ -80,8 +51,8 @@ static void set_input(Solver* s, const double* last, const double* u, int k, int
 }
 
 /* Next to the last two nodes, of which the path keeps what it knows. */
-static int solve_substep(Solver* s, int first, const Pose* x0, const Pose* x1, double h, const Pose* guess,
-                         Pose* x2, dp_info* info) {
+static int solve_substep(Solver* s, int first, const Pose* x0, const Pose* x1, double h,
+                         const Pose* guess, Pose* x2, dp_info* info) {
   if (s->euler) {
     work_begin(&s->work, s->origin, x0, x1, s->input, h);
     return euler_solve(&s->work, guess, x2, info);
@@ -103,26 +74,26 @@ static int solve_substep(Solver* s, int first, const Pose* x0, const Pose* x1, d
   return done;
 }
 
-/* How far from free motion a substep may end, in q and in rad. The equations of a coarse step have several
- * solutions; the one that goes on with the motion is near it, so one far from it asks for finer substeps. */
+/* How far from free motion a substep may end, in q and in rad. The equations of a coarse step have
+ * several solutions; the one that goes on with the motion is near it, so one far from it asks for
+ * finer substeps. */
 static const double MAX_DEVIATION = 1.2;
 
 /* Whether x[2] is that far from where the motion from x[0] to x[1] would have gone by itself. */
 static int strays(int r, const Pose* x) {
-  double back[4] = {x[0].quat[0], -x[0].quat[1], -x[0].quat[2], -x[0].quat[3]}, turn[4], free[4], dq[4], w[3];
-  quat_mul(x[1].quat, back, turn), quat_mul(turn, x[1].quat, free);
-  free[1] = -free[1], free[2] = -free[2], free[3] = -free[3];
-  quat_mul(x[2].quat, free, dq), quat_log(dq, w);
+  double turn[4], free[4], dq[4], w[3];
+  quat_between(x[0].quat, x[1].quat, turn), quat_mul(turn, x[1].quat, free);
+  quat_between(free, x[2].quat, dq), quat_log(dq, w);
   double most = sqrt(dot3(w, w));
   for (int c = 0; c < r; c++) most = fmax(most, fabs(x[2].q[c] - 2 * x[1].q[c] + x[0].q[c]));
   return !(most < MAX_DEVIATION);
 }
 
-/* A step's nodes: nodes[0] is before x, nodes[1] is x, then one a substep. Returns the number of parts
- * that substeps were divided into, first or more, 0 if there is no solution. `near` (NULL: none): a state
- * near the solution. `nodes` holds 2 + substeps * most. */
-static int solve_nodes(Solver* s, const double* x, const double* u, const double* near, int first, int most,
-                       Pose* nodes, dp_info* info) {
+/* A step's nodes: nodes[0] is before x, nodes[1] is x, then one a substep. Returns the number of
+ * parts that substeps were divided into, first or more, 0 if there is no solution. `near` (NULL:
+ * none): a state near the solution. `nodes` holds 2 + substeps * most. */
+static int solve_nodes(Solver* s, const double* x, const double* u, const double* near, int first,
+                       int most, Pose* nodes, dp_info* info) {
   const Parts* p = s->parts;
   const int r = p->body.r;
   const double* last = x + 13 + 2 * r;
@@ -178,8 +149,8 @@ static int sane(const Parts* p, const double* x, const double* u) {
   return is_finite(x, 13 + 3 * r) && is_finite(u, p->nu) && norm > 1e-300 && norm < 1e300;
 }
 
-static int step(const Parts* p, const double* x, const double* u, const double* near, double* x_next,
-                dp_info* info) {
+static int step(const Parts* p, const double* x, const double* u, const double* near,
+                double* x_next, dp_info* info) {
   const int r = p->body.r;
   dp_info local;
   if (!info) info = &local;
@@ -191,12 +162,12 @@ static int step(const Parts* p, const double* x, const double* u, const double* 
     int division = solve_nodes(&s, x, u, near, 1, 4, few, info);
     if (division) {
       const Pose* end = few + p->substeps * division + 1;
-      pack(r, x, end, end - 1, u, substep(p, division), x_next);
+      state_pack(r, x, end, end - 1, u, substep(p, division), x_next);
     } else {
       Pose nodes[p->substeps * DP_MAX_DIVISION + 2];
       division = solve_nodes(&s, x, u, NULL, 8, DP_MAX_DIVISION, nodes, info);
       const Pose* end = nodes + p->substeps * division + 1;
-      if (division) pack(r, x, end, end - 1, u, substep(p, division), x_next);
+      if (division) state_pack(r, x, end, end - 1, u, substep(p, division), x_next);
     }
     info->failed = !division || !is_finite(x_next, 13 + 3 * r);
   }
@@ -204,14 +175,12 @@ static int step(const Parts* p, const double* x, const double* u, const double* 
   return info->failed;
 }
 
-int dp_state_size(const double* blob) { return 13 + 3 * (int)blob[3]; }
-
 int dp_step(const dp_model* m, const double* x, const double* u, double* x_next, dp_info* info) {
   return dp_step_near(m, x, u, NULL, x_next, info);
 }
 
-int dp_step_near(const dp_model* m, const double* x, const double* u, const double* near, double* x_next,
-                 dp_info* info) {
+int dp_step_near(const dp_model* m, const double* x, const double* u, const double* near,
+                 double* x_next, dp_info* info) {
   Parts p;
   const int wrong = parts_view(&p, m);
   if (!wrong && (!near || sane(&p, near, u))) return step(&p, x, u, near, x_next, info);
@@ -241,56 +210,10 @@ int dp_rollout(const dp_model* m, int N, const double* u, double* xs, long* iter
 
 /* --- derivatives */
 
-/* Gradients of a step's result by its nodes: g_next over x_next -> over the last node and the one before
- * (6 + r each, tangent), and over the target. */
-static void pull_output(int r, const Pose* last, const Pose* before, double h, const double* g_next,
-                        double* g_last, double* g_before, double* gu) {
-  const double ih = 1 / h, *gq = g_next + 3, *gv = g_next + 7 + r, *qn = last->quat;
-  const double back[4] = {before->quat[0], -before->quat[1], -before->quat[2], -before->quat[3]};
-  double J[9], R[9], turn[3], t[3], omega[3], cr[3], quat[4];
-  quat_mul(back, last->quat, quat);
-  quat_log(quat, omega);
-  quat_matrix(before->quat, R);
-  cross3(qn + 1, gq + 1, cr);
-  so3_left_jacobian(omega, 1, J);
-  mul_mtv(J, gv + 3, t);
-  mul_mv(R, t, turn);
-  for (int i = 0; i < 3; i++) {
-    g_last[i] = g_next[i] + gv[i] * ih, g_before[i] = -gv[i] * ih;
-    const double g_turn = ih * turn[i];
-    g_last[3 + i] = .5 * (-gq[0] * qn[1 + i] + qn[0] * gq[1 + i] + cr[i]) + g_turn, g_before[3 + i] = -g_turn;
-  }
-  for (int c = 0; c < r; c++) {
-    g_last[6 + c] = g_next[7 + c] + gv[6 + c] * ih, g_before[6 + c] = -gv[6 + c] * ih;
-    gu[c] = g_next[13 + 2 * r + c];
-  }
-}
-
-/* Gradients over the last two nodes (tangent) -> gradient over the state x; its target's part is left. */
-static void pull_input(int r, const double* x, const Pose* last, double h, const double* g1, const double* g0,
-                       double* gx) {
-  const double* omega = x + 7 + r + 3;
-  double* gv = gx + 7 + r;
-  double back[3] = {-h * omega[0], -h * omega[1], -h * omega[2]}, J[9], R[9], local[3], g[3], t[3];
-  for (int i = 0; i < 3; i++) gx[i] = g1[i] + g0[i], gv[i] = -h * g0[i], g[i] = g1[3 + i] + g0[3 + i];
-  so3_left_jacobian(back, 0, J);
-  quat_matrix(last->quat, R);
-  mul_mtv(R, g0 + 3, local);
-  mul_mtv(J, local, t);
-  for (int i = 0; i < 3; i++) gv[3 + i] = -h * t[i];
-  const double* q = x + 3; /* as given, not normalised */
-  double norm2 = q[0] * q[0] + dot3(q + 1, q + 1), cr[3];
-  cross3(q + 1, g, cr);
-  gx[3] = -2 * dot3(g, q + 1) / norm2;
-  for (int i = 0; i < 3; i++) gx[4 + i] = 2 * (q[0] * g[i] - cr[i]) / norm2;
-  for (int c = 0; c < r; c++) {
-    gx[7 + c] = g1[6 + c] + g0[6 + c], gv[6 + c] = -h * g0[6 + c];
-  }
-}
-
-/* Set the solver to the solved substep k of n, from its last backwards; 0 if its matrix is singular.
- * *left is how far the nodes are from the solution: the Newton step that is left. */
-static int linearise(Solver* s, const Pose* nodes, int k, int n, double h, Factors* f, double* left) {
+/* Set the solver to the solved substep k of n, from its last backwards; 0 if its matrix is
+ * singular. *left is how far the nodes are from the solution: the Newton step that is left. */
+static int linearise(Solver* s, const Pose* nodes, int k, int n, double h, Factors* f,
+                     double* left) {
   double step[MAX_N];
   const double *H, *g;
   int symmetric = 0;
@@ -328,9 +251,10 @@ static void pull_substep(Solver* s, const double* lambda, double* a1, double* a0
   else variational_pull(&s->path, lambda, a1, a0, au);
 }
 
-/* The nodes of a solved step. Two of them are in each of its states, so that with one or two substeps
- * nothing has to be solved again; others are. */
-static int recover_nodes(Solver* s, const double* x, const double* u, const double* x_next, Pose* nodes) {
+/* The nodes of a solved step. Two of them are in each of its states, so that with one or two
+ * substeps nothing has to be solved again; others are. */
+static int recover_nodes(Solver* s, const double* x, const double* u, const double* x_next,
+                         Pose* nodes) {
   const Parts* p = s->parts;
   const int r = p->body.r, n = p->substeps;
   const double h = substep(p, 1);
@@ -339,11 +263,13 @@ static int recover_nodes(Solver* s, const double* x, const double* u, const doub
   state_nodes(r, x, h, nodes + 1, nodes);
   for (int k = 0; k < n - 2; k++) {
     set_input(s, x + 13 + 2 * r, u, k, n);
-    if (!solve_substep(s, k == 0, nodes + k, nodes + k + 1, h, NULL, nodes + k + 2, &info)) return 0;
+    if (!solve_substep(s, k == 0, nodes + k, nodes + k + 1, h, NULL, nodes + k + 2, &info))
+      return 0;
   }
   Pose before;
   state_nodes(r, x_next, h, nodes + n + 1, &before);
-  for (int i = 0; i < 3; i++) nodes[n + 1].c[i] = x_next[i] - x[i], before.c[i] += nodes[n + 1].c[i];
+  for (int i = 0; i < 3; i++)
+    nodes[n + 1].c[i] = x_next[i] - x[i], before.c[i] += nodes[n + 1].c[i];
   if (n > 1) nodes[n] = before;
   return 1;
 }
@@ -351,10 +277,12 @@ static int recover_nodes(Solver* s, const double* x, const double* u, const doub
 /* What is done with each linearised substep, from the last backwards. */
 typedef void (*Backward)(Solver* s, const Factors* f, int k, int n, void* data);
 
-/* Go backwards through the substeps of the step from x to x_next, with its nodes; returns 0, or 1 if a
- * matrix is singular. begin(data, nodes, n, h) comes first, and again if the step was a divided one. */
+/* Go backwards through the substeps of the step from x to x_next, with its nodes; returns 0, or 1
+ * if a matrix is singular. begin(data, nodes, n, h) comes first, and again if the step was a
+ * divided one. */
 static int backward(Solver* s, const double* x, const double* u, const double* x_next,
-                    void (*begin)(Solver*, const Pose*, int, double, void*), Backward each, void* data) {
+                    void (*begin)(Solver*, const Pose*, int, double, void*), Backward each,
+                    void* data) {
   const Parts* p = s->parts;
   const int r = p->body.r;
   Factors f;
@@ -366,7 +294,8 @@ static int backward(Solver* s, const double* x, const double* u, const double* x
     int division = 1, k;
     dp_info info = {0, 0, 0, 1, 0};
     if (!again && !recover_nodes(s, x, u, x_next, nodes)) continue;
-    if (again && !(division = solve_nodes(s, x, u, NULL, 1, DP_MAX_DIVISION, nodes, &info))) return 1;
+    if (again && !(division = solve_nodes(s, x, u, NULL, 1, DP_MAX_DIVISION, nodes, &info)))
+      return 1;
     const int n = p->substeps * division;
     const double h = substep(p, division);
     begin(s, nodes, n, h, data);
@@ -394,7 +323,7 @@ static void adjoint_begin(Solver* s, const Pose* nodes, int n, double h, void* d
   a->h = h, a->last = nodes[1];
   memset(a->gu, 0, sizeof(double) * s->parts->nu);
   memset(a->gx + 13 + 2 * r, 0, sizeof(double) * r);
-  pull_output(r, nodes + n + 1, nodes + n, h, a->g_next, a->later, a->earlier, a->gu);
+  state_pack_pull(r, nodes + n + 1, nodes + n, h, a->g_next, a->later, a->earlier, a->gu);
 }
 
 static void adjoint_substep(Solver* s, const Factors* f, int k, int n, void* data) {
@@ -409,29 +338,31 @@ static void adjoint_substep(Solver* s, const Factors* f, int k, int n, void* dat
   for (int c = 0; c < r; c++) a->gx[13 + 2 * r + c] -= (1 - share) * au[c];
 }
 
-static int adjoint(Solver* s, const double* x, const double* u, const double* x_next, const double* g_next,
-                   double* gx, double* gu) {
+static int adjoint(Solver* s, const double* x, const double* u, const double* x_next,
+                   const double* g_next, double* gx, double* gu) {
   const int r = s->parts->body.r;
   const int nx = 13 + 3 * r, nu = s->parts->nu;
   Adjoint a = {.x = x, .g_next = g_next, .gx = gx, .gu = gu};
-  int done = is_finite(g_next, nx) && !backward(s, x, u, x_next, adjoint_begin, adjoint_substep, &a);
+  int done =
+      is_finite(g_next, nx) && !backward(s, x, u, x_next, adjoint_begin, adjoint_substep, &a);
   if (done) {
-    pull_input(r, x, &a.last, a.h, a.later, a.earlier, gx);
+    state_nodes_pull(r, x, &a.last, a.h, a.later, a.earlier, gx);
     done = is_finite(gx, nx) && is_finite(gu, nu);
   }
   if (!done) memset(gx, 0, sizeof(double) * nx), memset(gu, 0, sizeof(double) * nu);
   return !done;
 }
 
-int dp_step_adj(const dp_model* m, const double* x, const double* u, const double* x_next, const double* g_next,
-                double* gx, double* gu) {
+int dp_step_adj(const dp_model* m, const double* x, const double* u, const double* x_next,
+                const double* g_next, double* gx, double* gu) {
   Parts p;
   if (parts_view(&p, m)) return 1;
   SOLVER(s, &p);
   return adjoint(&s, x, u, x_next, g_next, gx, gu);
 }
 
-int dp_rollout_adj(const dp_model* m, int N, const double* u, const double* xs, double* gxs, double* gu) {
+int dp_rollout_adj(const dp_model* m, int N, const double* u, const double* xs, double* gxs,
+                   double* gu) {
   Parts p;
   if (parts_view(&p, m)) return N;
   const int nx = 13 + 3 * p.body.r;
@@ -463,7 +394,8 @@ static void jacobian_begin(Solver* s, const Pose* nodes, int n, double h, void* 
   for (int o = 0; o < j->nx; o++) {
     double seed[MAX_STATE] = {0};
     seed[o] = 1;
-    pull_output(r, nodes + n + 1, nodes + n, h, seed, j->later[o], j->earlier[o], j->B + (size_t)o * nu);
+    state_pack_pull(r, nodes + n + 1, nodes + n, h, seed, j->later[o], j->earlier[o],
+                    j->B + (size_t)o * nu);
   }
 }
 
@@ -492,13 +424,15 @@ static void jacobian_substep(Solver* s, const Factors* f, int k, int n, void* da
   }
 }
 
-int dp_step_jac(const dp_model* m, const double* x, const double* u, const double* x_next, double* A, double* B) {
+int dp_step_jac(const dp_model* m, const double* x, const double* u, const double* x_next,
+                double* A, double* B) {
   Parts p;
   if (parts_view(&p, m)) return 1;
   const int r = p.body.r, nx = 13 + 3 * r;
   SOLVER(s, &p);
   Jacobian j = {.x = x, .A = A, .B = B, .nx = nx};
   if (backward(&s, x, u, x_next, jacobian_begin, jacobian_substep, &j)) return 1;
-  for (int o = 0; o < nx; o++) pull_input(r, x, &j.last, j.h, j.later[o], j.earlier[o], A + (size_t)o * nx);
+  for (int o = 0; o < nx; o++)
+    state_nodes_pull(r, x, &j.last, j.h, j.later[o], j.earlier[o], A + (size_t)o * nx);
   return !is_finite(A, (size_t)nx * nx) || !is_finite(B, (size_t)nx * p.nu);
 }

@@ -1,5 +1,5 @@
 /* The terrain: geoms and a heightfield, as smooth gaps with two derivatives. */
-#include "internal.h"
+#include "terrain.h"
 
 enum { TERRAIN_HEADER = 16, PER_GEOM = TERRAIN_GEOM };
 static const int SIZES[] = {0, 0, 1, 2, 3, 2, 3}; /* numbers in the size of a geom, by its type */
@@ -11,12 +11,15 @@ int terrain_view(Terrain* t, const double* terrain, size_t n) {
   if (!is_finite(terrain, TERRAIN_HEADER)) return -4;
   for (int i = 5; i < 8; i++)
     if (!is_count(terrain[i], 1e7)) return -4;
-  t->friction = terrain[1], t->stiffness = terrain[2], t->thickness = terrain[3], t->slip = terrain[4];
+  t->friction = terrain[1], t->stiffness = terrain[2];
+  t->thickness = terrain[3], t->slip = terrain[4];
   t->n_geoms = (int)terrain[5], t->rows = (int)terrain[6], t->columns = (int)terrain[7];
   memcpy(t->centre, terrain + 8, sizeof t->centre), memcpy(t->half, terrain + 11, sizeof t->half);
   t->top = terrain[13], t->damping = terrain[14];
-  if (!(t->friction >= 0 && t->stiffness > 0 && t->thickness > 0 && t->slip > 0 && t->damping >= 0)) return -4;
-  if (t->rows > 0 && (t->rows < 2 || t->columns < 2 || !(t->half[0] > 0 && t->half[1] > 0))) return -4;
+  if (!(t->friction >= 0 && t->stiffness > 0 && t->thickness > 0 && t->slip > 0 && t->damping >= 0))
+    return -4;
+  if (t->rows > 0 && (t->rows < 2 || t->columns < 2 || !(t->half[0] > 0 && t->half[1] > 0)))
+    return -4;
   t->geoms = terrain + TERRAIN_HEADER;
   t->coefficients = t->geoms + (size_t)PER_GEOM * t->n_geoms;
   const size_t size = TERRAIN_HEADER + (size_t)PER_GEOM * t->n_geoms + (size_t)t->rows * t->columns;
@@ -64,7 +67,8 @@ static double height(const Terrain* t, const double p[3], double* gradient, doub
   for (int j = 0; j < 4; j++) {
     double line[3] = {0};
     for (int i = 0; i < 4; i++)
-      for (int d = 0; d < 3; d++) line[d] += wx[d][i] * t->coefficients[(size_t)iy[j] * t->columns + ix[i]];
+      for (int d = 0; d < 3; d++)
+        line[d] += wx[d][i] * t->coefficients[(size_t)iy[j] * t->columns + ix[i]];
     value[0] += wy[0][j] * line[0], value[1] += wy[0][j] * line[1], value[2] += wy[1][j] * line[0];
     value[3] += wy[0][j] * line[2], value[4] += wy[1][j] * line[1], value[5] += wy[2][j] * line[0];
   }
@@ -77,7 +81,8 @@ static double height(const Terrain* t, const double p[3], double* gradient, doub
   return p[2] - t->centre[2] - value[0];
 }
 
-double terrain_gap(const Terrain* t, int part, const double p[3], double* gradient, double* hessian) {
+double terrain_gap(const Terrain* t, int part, const double p[3], double* gradient,
+                   double* hessian) {
   if (part == t->n_geoms) return height(t, p, gradient, hessian);
   const double* row = t->geoms + (size_t)PER_GEOM * part;
   dp_geom g;
@@ -91,7 +96,8 @@ double dp_terrain_gap(const double* terrain, const double p[3], double normal[3]
   Terrain t;
   double best = INFINITY;
   if (normal) normal[0] = normal[1] = 0, normal[2] = 1;
-  if (!terrain || !is_count(terrain[0], 1e9) || terrain_view(&t, terrain, (size_t)terrain[0])) return best;
+  if (!terrain || !is_count(terrain[0], 1e9) || terrain_view(&t, terrain, (size_t)terrain[0]))
+    return best;
   for (int i = 0; i < terrain_parts(&t); i++) {
     double n[3], gap = terrain_gap(&t, i, p, n, NULL), length = sqrt(dot3(n, n));
     gap /= length;

@@ -1,5 +1,6 @@
-/* Contact of the variational step. Most points are far from the terrain: only those that may touch at
- * node 2 by what nodes 0 and 1 say are looked at while it is sought, and the others once, at its end. */
+/* Contact of the variational step. Most points are far from the terrain: only those that may touch
+ * at node 2 by what nodes 0 and 1 say are looked at while it is sought, and the others once, at its
+ * end. */
 #include "path.h"
 
 static const double PER_GAP = 50, PER_LAW = 300; /* multiplications, about */
@@ -16,15 +17,17 @@ static void all_places(Path* p, Node* n) {
 }
 
 /* Gaps to a part of the terrain of n points at c + y (world), y as columns `stride` apart. */
-static void gaps_of(const Path* p, int part, const double c[3], const double* restrict y, int n, int stride,
-                    double* restrict gaps) {
+static void gaps_of(const Path* p, int part, const double c[3], const double* restrict y, int n,
+                    int stride, double* restrict gaps) {
   const Terrain* t = &p->terrain;
   const double* plane = t->geoms + TERRAIN_GEOM * part;
   *p->spent += PER_GAP * n;
   if (part < t->n_geoms && plane[0] == DP_PLANE) {
-    const double *at = plane + 4, x = plane[9], yy = plane[12], z = plane[15]; /* the normal: R e_z */
+    /* the normal: R e_z */
+    const double *at = plane + 4, x = plane[9], yy = plane[12], z = plane[15];
     const double offset = x * (c[0] - at[0]) + yy * (c[1] - at[1]) + z * (c[2] - at[2]);
-    for (int s = 0; s < n; s++) gaps[s] = x * y[s] + yy * y[stride + s] + z * y[2 * stride + s] + offset;
+    for (int s = 0; s < n; s++)
+      gaps[s] = x * y[s] + yy * y[stride + s] + z * y[2 * stride + s] + offset;
     return;
   }
   for (int s = 0; s < n; s++) {
@@ -43,8 +46,10 @@ static int is_near(const Path* p, int part, const double c[3], double radius) {
 
 static double radius_of(const double* y, int n, int stride) {
   double most = 0;
-  for (int s = 0; s < n; s++)
-    most = fmax(most, y[s] * y[s] + y[stride + s] * y[stride + s] + y[2 * stride + s] * y[2 * stride + s]);
+  for (int s = 0; s < n; s++) {
+    const double a = y[s], b = y[stride + s], c = y[2 * stride + s];
+    most = fmax(most, a * a + b * b + c * c);
+  }
   return sqrt(most);
 }
 
@@ -52,8 +57,8 @@ static void centre_of(const Path* p, const Node* n, double c[3]) {
   for (int i = 0; i < 3; i++) c[i] = p->origin[i] + n->at.c[i];
 }
 
-/* Marks points of node n that are nearer to the terrain than `reach` (per point, NULL: none) and its
- * thickness; returns how many were not marked before. */
+/* Marks points of node n that are nearer to the terrain than `reach` (per point, NULL: none) and
+ * its thickness; returns how many were not marked before. */
 static int mark(const Path* p, const Node* n, const double* reach, char* marked) {
   const Body* b = p->body;
   const double thickness = p->terrain.thickness;
@@ -80,7 +85,7 @@ static void gather(Path* p, const char* marked) {
   p->n_near = 0;
   for (int s = 0; s < b->n_contacts; s++)
     if (marked[s]) p->near[p->n_near++] = s;
-  const int n = p->n_near, mp = p->mp = (n + PAD - 1) / PAD * PAD;
+  const int n = p->n_near, mp = p->mp = padded(n);
   for (int a = 0; a <= b->k; a++)
     for (int i = 0; i < 3; i++) {
       const double* from = b->contacts + (3 * (size_t)a + i) * nc;
@@ -88,7 +93,8 @@ static void gather(Path* p, const char* marked) {
       for (int k = 0; k < mp; k++) to[k] = k < n ? from[p->near[k]] : 0;
     }
   for (int i = 0; i < 3; i++)
-    for (int k = 0; k < mp; k++) p->near_y1[i * mp + k] = k < n ? p->n1->touch[i * nc + p->near[k]] : 0;
+    for (int k = 0; k < mp; k++)
+      p->near_y1[i * mp + k] = k < n ? p->n1->touch[i * nc + p->near[k]] : 0;
   if (!n) return;
   *p->spent += 3. * mp * b->kp * (1 + r);
   double local[DP_MAX_MODES * 3 * DP_MAX_CONTACTS];
@@ -107,7 +113,8 @@ void touch_prepare(Path* p) {
   for (int s = 0; s < b->n_contacts; s++) {
     double went = 0;
     for (int i = 0; i < 3; i++) {
-      const double d = p->n1->at.c[i] - p->n0->at.c[i] + p->n1->touch[i * nc + s] - p->n0->touch[i * nc + s];
+      const double d =
+          p->n1->at.c[i] - p->n0->at.c[i] + p->n1->touch[i * nc + s] - p->n0->touch[i * nc + s];
       went += d * d;
     }
     reach[s] = 1.25 * sqrt(went) + p->terrain.thickness;
@@ -126,10 +133,31 @@ int touch_missed(Path* p) {
   return 1;
 }
 
+/* Force of a part of the terrain on near point k at node 2, c its centre (world), with the velocity
+ * of the interval; `slot` is where its D and F are, -1 if it has none yet. */
+static void touch_point(Path* p, int part, int k, const double* c, int* slot) {
+  const Terrain* t = &p->terrain;
+  const int mp = p->mp;
+  const double ih = 1 / p->h, *y1 = p->near_y1, *y2 = p->near_y2;
+  double x[3], v[3], f[3] = {0};
+  if (*slot < 0) {
+    *slot = p->m, p->which[p->m++] = k;
+    memset(p->touch_D + 9 * *slot, 0, 9 * sizeof(double));
+    memset(p->touch_F + 9 * *slot, 0, 9 * sizeof(double));
+  }
+  for (int i = 0; i < 3; i++) {
+    const int at = i * mp + k;
+    x[i] = c[i] + y2[at];
+    v[i] = (p->n2->at.c[i] - p->n1->at.c[i] + y2[at] - y1[at]) * ih;
+  }
+  *p->spent += PER_LAW;
+  contact_law(t, t->friction, part, x, v, f, p->touch_D + 9 * *slot, p->touch_F + 9 * *slot);
+  for (int i = 0; i < 3; i++) p->near_f[i * mp + k] += f[i];
+}
+
 void touch_forces(Path* p) {
   const int mp = p->mp, n = p->n_near;
-  const Terrain* t = &p->terrain;
-  const double ih = 1 / p->h, *y = p->near_y2;
+  const double thickness = p->terrain.thickness, ih = 1 / p->h;
   double c[3], local[3 * DP_MAX_CONTACTS], gaps[DP_MAX_CONTACTS];
   int slot[DP_MAX_CONTACTS];
   p->m = 0;
@@ -138,40 +166,16 @@ void touch_forces(Path* p) {
   field_apply(p->body, p->near_field, 1, p->n2->zeta, mp, local);
   rotate(p->n2->R, local, mp, p->near_y2);
   memset(p->near_f, 0, 3 * mp * sizeof(double));
-  centre_of(p, p->n2, c);
   for (int k = 0; k < n; k++) slot[k] = -1;
-  const double radius = radius_of(y, n, mp) + t->thickness;
-  for (int part = 0; part < terrain_parts(t); part++) {
+  centre_of(p, p->n2, c);
+  const double radius = radius_of(p->near_y2, n, mp) + thickness;
+  for (int part = 0; part < terrain_parts(&p->terrain); part++) {
     if (!is_near(p, part, c, radius)) continue;
-    gaps_of(p, part, c, y, n, mp, gaps);
-    for (int k = 0; k < n; k++) {
-      if (gaps[k] >= t->thickness) continue;
-      if (slot[k] < 0) {
-        slot[k] = p->m, p->which[p->m++] = k;
-        memset(p->touch_D + 9 * slot[k], 0, 9 * sizeof(double));
-        memset(p->touch_F + 9 * slot[k], 0, 9 * sizeof(double));
-      }
-      double x[3], v[3], f[3] = {0};
-      for (int i = 0; i < 3; i++) {
-        x[i] = c[i] + y[i * mp + k];
-        v[i] = (p->n2->at.c[i] - p->n1->at.c[i] + y[i * mp + k] - p->near_y1[i * mp + k]) * ih;
-      }
-      *p->spent += PER_LAW;
-      contact_law(t, t->friction, part, x, v, f, p->touch_D + 9 * slot[k], p->touch_F + 9 * slot[k]);
-      for (int i = 0; i < 3; i++) p->near_f[i * mp + k] += f[i];
-    }
+    gaps_of(p, part, c, p->near_y2, n, mp, gaps);
+    for (int k = 0; k < n; k++)
+      if (!(gaps[k] >= thickness)) touch_point(p, part, k, c, slot + k);
   }
   for (int k = 0; k < 9 * p->m; k++) p->touch_D[k] += ih * p->touch_F[k];
-}
-
-/* J (3 x ROW) of a point at y from the centre, both columns `stride` apart. */
-static void point_jacobian(const double* y, const double* Jq, int r, int stride, double J[3][ROW]) {
-  memset(J, 0, 3 * ROW * sizeof(double));
-  for (int i = 0; i < 3; i++) {
-    J[i][i] = 1;
-    J[i][3 + (i + 1) % 3] = y[(i + 2) % 3 * stride], J[i][3 + (i + 2) % 3] = -y[(i + 1) % 3 * stride]; /* t x y */
-    for (int c = 0; c < r; c++) J[i][6 + c] = Jq[(3 * c + i) * stride];
-  }
 }
 
 void touch_matrix(Path* p, int exact, double* H) {
@@ -185,19 +189,11 @@ void touch_matrix(Path* p, int exact, double* H) {
   }
   for (int k = 0; k < p->m; k++) {
     const int s = p->which[k];
-    double J[3][ROW], J2[3][ROW], DJ[3][ROW];
-    const double* D = p->touch_D + 9 * k;
+    double J[3][ROW], J2[3][ROW];
     point_jacobian(p->near_y1 + s, p->near_Jq + s, r, mp, J);
     if (exact) point_jacobian(p->near_y2 + s, later + s, r, mp, J2);
     else memcpy(J2, J, sizeof J);
-    for (int i = 0; i < 3; i++)
-      for (int j = 0; j < ROW; j++)
-        DJ[i][j] = D[3 * i] * J2[0][j] + D[3 * i + 1] * J2[1][j] + D[3 * i + 2] * J2[2][j];
-    for (int a = 0; a < n; a++) {
-      const double x = J[0][a], y = J[1][a], z = J[2][a];
-      double* restrict row = sums + a * ROW;
-      for (int j = 0; j < ROW; j++) row[j] += x * DJ[0][j] + y * DJ[1][j] + z * DJ[2][j];
-    }
+    point_product(J, p->touch_D + 9 * k, J2, n, sums);
   }
   for (int a = 0; a < n; a++)
     for (int j = 0; j < n; j++) H[a * n + j] += sums[a * ROW + j];

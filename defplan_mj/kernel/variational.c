@@ -4,31 +4,26 @@
  *   J_1^T M (p2 - 2 p1 + p0)/h^2 + K [(1 + k_c)(q0 + 2 q1 + q2)/4 - k_c u + b (q2 - q0)/2h]
  *     - J_1^T [(F_01 + F_12)/2 + F_contact(p2, (p2 - p1)/h) + gravity + F_feet] - righting(R1) = 0,
  *
- * J_1 the tangent at x1. The inertia that is projected there, and not at x2, is what conserves linear and
- * angular momentum (discrete Noether), and what makes the step second order. F_12 takes the area vectors
- * extrapolated, (3 a1 - a0)/2, F_01 their mean: second order, and no derivative of them in the matrix.
+ * J_1 the tangent at x1. The inertia that is projected there, and not at x2, is what conserves
+ * linear and angular momentum (discrete Noether), and what makes the step second order. F_12 takes
+ * the area vectors extrapolated, (3 a1 - a0)/2, F_01 their mean: second order, and no derivative of
+ * them in the matrix.
  *
- * It is solved by a Newton method whose matrix is that at x1, and after its first step that of where it led
- * (drag and contact with the tangent at x1), improved by Broyden's updates; contact's part is renewed where
- * it changes. Where that fails: the exact matrix at every iterate. */
+ * It is solved by a Newton method whose matrix is that at x1, and after its first step that of
+ * where it led (drag and contact with the tangent at x1), improved by Broyden's updates; contact's
+ * part is renewed where it changes. Where that fails: the exact matrix at every iterate. */
 #include "path.h"
 
-static const double MAX_TURN = .7; /* rad or units of q in one iteration */
 enum { QUASI_NEWTON = 30, HALVINGS = 6 };
-
-/* C = Ra^T Rb */
-static void relative(const double* Ra, const double* Rb, double* C) {
-  for (int i = 0; i < 3; i++)
-    for (int j = 0; j < 3; j++) C[3 * i + j] = Ra[i] * Rb[j] + Ra[3 + i] * Rb[3 + j] + Ra[6 + i] * Rb[6 + j];
-}
 
 /* g += factor J_1^T M y_b, its turn and modal parts. */
 static void inertia(const Path* p, const Node* b, double factor, double* g) {
   const int kp = p->body->kp;
   const Node* n1 = p->n1;
   double C[9], N[9], M[9], turn[3];
-  relative(n1->R, b->R, C);
-  for (int i = 0; i < 9; i++) N[i] = inner(n1->P + i * kp, b->zeta, kp), C[i] *= factor;
+  mul_mtm(n1->R, b->R, C);
+  moments_pair(n1->P, b->zeta, kp, N);
+  for (int i = 0; i < 9; i++) C[i] *= factor;
   to_world(b->R, N, n1->R, M); /* sum m y_b y_1^T: sum y_1 x y_b is its vee */
   vee(M, turn);
   for (int i = 0; i < 3; i++) g[3 + i] += factor * turn[i];
@@ -69,7 +64,8 @@ static void feet_forces(Path* p) {
 void path_prepare(Path* p) {
   const Body* b = p->body;
   const int r = b->r, kp = b->kp, np = b->np;
-  const double ih2 = 1 / (p->h * p->h), *par = p->par, kc = par[DP_CONTROL], beta = par[DP_DAMPING] / (2 * p->h);
+  const double ih2 = 1 / (p->h * p->h), *par = p->par;
+  const double kc = par[DP_CONTROL], beta = par[DP_DAMPING] / (2 * p->h);
   const Node *n0 = p->n0, *n1 = p->n1;
   double* g = p->base;
   memset(g, 0, sizeof p->base);
@@ -88,7 +84,7 @@ void path_prepare(Path* p) {
   /* righting: torque D (R e_z) x e_z */
   const double D = b->mass * STANDARD_GRAVITY * par[DP_RIGHTING];
   g[3] -= D * n1->R[5], g[4] += D * n1->R[2];
-  if (has_drag(p)) {
+  if (has_drag(p->body, p->par)) {
     for (int s = 0; s < 3 * np; s++) {
       p->mean01[s] = .5 * (n0->area[s] + n1->area[s]);
       p->area12[s] = 1.5 * n1->area[s] - .5 * n0->area[s];
@@ -110,9 +106,9 @@ void path_residual(Path* p) {
   inertia(p, n2, ih2, g);
   for (int i = 0; i < 3; i++) g[i] += ih2 * b->mass * n2->at.c[i];
   for (int c = 0; c < r; c++) g[6 + c] += b->stiffness[c] * elastic * n2->at.q[c];
-  if (has_drag(p)) {
+  if (has_drag(p->body, p->par)) {
     interval_drag(p, n1, n2, p->area12, p->f12, NULL);
-    double* restrict f = p->local;
+    double* restrict f = p->mean_f;
     for (int s = 0; s < 3 * np; s++) f[s] = .5 * (p->f01[s] + p->f12[s]);
     force(f, n1->y, n1->Jq, r, np, g);
   }
@@ -124,18 +120,13 @@ void path_residual(Path* p) {
 static void move(Path* p, const Pose* from, const double* step, double alpha, int what) {
   Pose to = {{0}, {0}, {0}};
   double turn[3], dq[4];
-  for (int i = 0; i < 3; i++) to.c[i] = from->c[i] - alpha * step[i], turn[i] = -alpha * step[3 + i];
+  for (int i = 0; i < 3; i++)
+    to.c[i] = from->c[i] - alpha * step[i], turn[i] = -alpha * step[3 + i];
   quat_exp(turn, dq);
   quat_mul(dq, from->quat, to.quat);
   quat_normalize(to.quat);
   for (int c = 0; c < p->body->r; c++) to.q[c] = from->q[c] - alpha * step[6 + c];
   node_set(p, p->n2, &to, what);
-}
-
-static double largest_of(const double* a, int n) { /* infinity if one is not finite */
-  double s = 0;
-  for (int i = 0; i < n; i++) s = fabs(a[i]) <= s ? s : isfinite(a[i]) ? fabs(a[i]) : INFINITY;
-  return s;
 }
 
 /* The first guess: the motion goes on as it was. */
@@ -151,113 +142,123 @@ static void go_on(const Path* p, Pose* guess) {
   for (int c = 0; c < p->body->r; c++) guess->q[c] = 2 * x1->q[c] - x0->q[c];
 }
 
-/* The matrix without contact, inertia by the tangent at node b, drag by the iterate's places and forces. */
+/* The matrix without contact: inertia with the tangent at node b, drag at the iterate's places. */
 static void free_matrix(Path* p, const Node* b, double* H) {
   memset(H, 0, sizeof p->H);
   inertia_matrix(p, b, H);
-  if (!has_drag(p)) return;
+  if (!has_drag(p->body, p->par)) return;
   interval_drag(p, p->n1, p->n2, p->area12, p->f12, p->D12);
   drag_matrix(p, p->n2->y, p->n1->Jq, H);
 }
 
-/* Newton with the matrix at node 1 for the first step, then that of where it led, and Broyden's updates of
- * it; 1 if it converged. */
-static int quasi_newton(Path* p, const Pose* guess, dp_info* info) {
-  const int n = 6 + p->body->r;
-  const double tolerance = p->par[DP_TOLERANCE] * p->par[DP_TOLERANCE];
-  double free[MAX_N * MAX_N], steps[QUASI_NEWTON + 1][MAX_N], size2[QUASI_NEWTON + 1], next[MAX_N];
+/* The inverse of a matrix: its factors and Broyden's rank-one updates of it, made of the last steps
+ * (the next one is steps[kept]). */
+typedef struct {
   Factors f;
-  node_set(p, p->n2, guess, PLACES);
-  free_matrix(p, p->n1, free);
-  path_residual(p);
-  int kept = 0; /* updates */
-  double before = 0;
-  for (int k = 0, fresh = 1, first = 1; k < QUASI_NEWTON && *p->spent < DP_MAX_WORK; k++) {
-    info->iterations++;
-    if (fresh) {
-      memcpy(p->H, free, sizeof(double) * n * n);
-      if (p->m) touch_matrix(p, 0, p->H);
-      if (!factorise(&f, p->H, n, 0)) return 0;
-      solve(&f, p->g, steps[0]);
-      kept = 0, fresh = 0;
-    }
-    double* z = steps[kept];
-    const double largest = largest_of(z, n), turn = largest_of(z + 3, n - 3);
-    info->residual = largest;
-    if (!(largest < 1e100)) return 0;
-    const Pose from = p->n2->at;
-    const double rate = before > 0 ? fmin(1, largest / before) : 1;
-    if (largest * rate < tolerance) { /* after this step nothing is left */
-      move(p, &from, z, 1, PLACES);
-      return 1;
-    }
-    double alpha = turn > MAX_TURN ? MAX_TURN / turn : 1, moved = INFINITY;
-    const double size = inner(z, z, n);
-    size2[kept] = size;
-    for (int halvings = 0;; halvings++) {
-      move(p, &from, z, alpha, first ? TANGENT : PLACES);
-      path_residual(p);
-      solve(&f, p->g, next);
-      for (int j = 0; j < kept; j++) { /* earlier updates */
-        const double share = inner(steps[j], next, n) / size2[j];
-        for (int i = 0; i < n; i++) next[i] += share * steps[j + 1][i];
-      }
-      moved = inner(next, next, n);
-      const double reduced = 1 - .25 * alpha;
-      if (moved <= reduced * reduced * size) break;
-      if (halvings == HALVINGS) return 0;
-      alpha *= .5;
-    }
-    before = largest;
-    if (first) {
-      free_matrix(p, p->n2, free);
-      first = 0, fresh = 1;
-      continue;
-    }
-    if (alpha < 1 || (p->m && moved > .01 * size)) { /* far from linear: renew the matrix here */
-      fresh = 1;
-      continue;
-    }
-    const double along = 1 - inner(z, next, n) / size; /* Broyden's update by this step */
-    if (!(along > .1)) { fresh = 1; continue; }
-    kept++;
-    for (int i = 0; i < n; i++) steps[kept][i] = next[i] / along;
+  int n, kept; /* unknowns; updates */
+  double steps[QUASI_NEWTON + 1][MAX_N];
+  double size2[QUASI_NEWTON + 1]; /* |step|^2 */
+} Inverse;
+
+/* Start anew from p->H, with the step that it gives; 0 if it is singular. */
+static int inverse_begin(Inverse* v, const Path* p) {
+  v->n = 6 + p->body->r, v->kept = 0;
+  if (!factorise(&v->f, p->H, v->n, 0)) return 0;
+  solve(&v->f, p->g, v->steps[0]);
+  v->size2[0] = inner(v->steps[0], v->steps[0], v->n);
+  return 1;
+}
+
+/* next = inverse g */
+static void inverse_apply(const Inverse* v, const double* g, double* next) {
+  solve(&v->f, g, next);
+  for (int j = 0; j < v->kept; j++) {
+    const double share = inner(v->steps[j], next, v->n) / v->size2[j];
+    for (int i = 0; i < v->n; i++) next[i] += share * v->steps[j + 1][i];
+  }
+}
+
+/* Broyden's update by a whole step that left `next`; 0 if that is too far from linear. */
+static int inverse_update(Inverse* v, const double* next) {
+  const double along = 1 - inner(v->steps[v->kept], next, v->n) / v->size2[v->kept];
+  if (!(along > .1)) return 0;
+  double* step = v->steps[++v->kept];
+  for (int i = 0; i < v->n; i++) step[i] = next[i] / along;
+  v->size2[v->kept] = inner(step, step, v->n);
+  return 1;
+}
+
+/* Move by as much of the step as makes the next one, with the same inverse, shorter (Deuflhard's
+ * natural monotonicity test); returns the share of it, 0 if none does. */
+static double search(Path* p, const Inverse* v, int what, double* next) {
+  const Pose from = p->n2->at;
+  const double *step = v->steps[v->kept], turn = largest_of(step + 3, v->n - 3);
+  double alpha = turn > MAX_TURN ? MAX_TURN / turn : 1;
+  for (int halvings = 0; halvings <= HALVINGS; halvings++, alpha *= .5) {
+    move(p, &from, step, alpha, what);
+    path_residual(p);
+    inverse_apply(v, p->g, next);
+    const double reduced = 1 - .25 * alpha;
+    if (inner(next, next, v->n) <= reduced * reduced * v->size2[v->kept]) return alpha;
   }
   return 0;
 }
 
-/* Newton with the exact matrix; a step is taken if the next one, with the same factors, is shorter
- * (Deuflhard's natural monotonicity test). */
+/* The last step, after which nothing is left. */
+static int finish(Path* p, const Inverse* v) {
+  const Pose from = p->n2->at;
+  move(p, &from, v->steps[v->kept], 1, PLACES);
+  return 1;
+}
+
+/* Newton with the matrix at node 1 for the first step, then that of where it led, and Broyden's
+ * updates of it; the matrix is made anew, with contact as it is, where that is far from linear. 1
+ * if it converged: the rate of convergence tells what a step will leave, which is held against the
+ * tolerance squared. */
+static int quasi_newton(Path* p, const Pose* guess, dp_info* info) {
+  const int n = 6 + p->body->r;
+  const double tolerance = p->par[DP_TOLERANCE] * p->par[DP_TOLERANCE];
+  double free[MAX_N * MAX_N], next[MAX_N], before = 0;
+  Inverse v;
+  node_set(p, p->n2, guess, PLACES);
+  free_matrix(p, p->n1, free);
+  path_residual(p);
+  for (int k = 0, fresh = 1; k < QUASI_NEWTON && *p->spent < DP_MAX_WORK; k++) {
+    info->iterations++;
+    if (fresh) {
+      memcpy(p->H, free, sizeof(double) * n * n);
+      if (p->m) touch_matrix(p, 0, p->H);
+      if (!inverse_begin(&v, p)) return 0;
+    }
+    const double largest = info->residual = largest_of(v.steps[v.kept], n);
+    if (!(largest < 1e100)) return 0;
+    const double rate = before > 0 ? fmin(1, largest / before) : 1;
+    if (largest * rate < tolerance) return finish(p, &v);
+    const double alpha = search(p, &v, k ? PLACES : TANGENT, next);
+    if (alpha == 0) return 0;
+    before = largest;
+    if (k == 0) free_matrix(p, p->n2, free);
+    const int far = alpha < 1 || (p->m && inner(next, next, n) > .01 * v.size2[v.kept]);
+    fresh = k == 0 || far || !inverse_update(&v, next);
+  }
+  return 0;
+}
+
+/* Newton with the exact matrix; 1 if it converged. */
 static int newton(Path* p, const Pose* guess, dp_info* info) {
   const int n = 6 + p->body->r, limit = (int)fmin(p->par[DP_MAX_NEWTON], 1000);
-  double step[MAX_N], next[MAX_N];
-  Factors f;
+  double next[MAX_N];
+  Inverse v;
   node_set(p, p->n2, guess, TANGENT | DRAG_TANGENT);
   path_residual(p);
   for (int k = 0; k < limit && *p->spent < DP_MAX_WORK; k++) {
     info->iterations++;
     variational_matrix(p);
-    if (!factorise(&f, p->H, n, 0)) return 0;
-    solve(&f, p->g, step);
-    const double largest = largest_of(step, n), turn = largest_of(step + 3, n - 3);
-    info->residual = largest;
-    if (!(largest < 1e100)) return 0;
-    const Pose from = p->n2->at;
-    if (largest < p->par[DP_TOLERANCE]) { /* quadratic convergence: after this step nothing is left */
-      move(p, &from, step, 1, PLACES);
-      return 1;
-    }
-    double alpha = turn > MAX_TURN ? MAX_TURN / turn : 1;
-    const double size = inner(step, step, n);
-    for (int halvings = 0;; halvings++) {
-      move(p, &from, step, alpha, TANGENT | DRAG_TANGENT);
-      path_residual(p);
-      solve(&f, p->g, next);
-      const double reduced = 1 - .25 * alpha;
-      if (inner(next, next, n) <= reduced * reduced * size) break;
-      if (halvings == HALVINGS) return 0;
-      alpha *= .5;
-    }
+    if (!inverse_begin(&v, p)) return 0;
+    info->residual = largest_of(v.steps[0], n);
+    if (!(info->residual < 1e100)) return 0;
+    if (info->residual < p->par[DP_TOLERANCE]) return finish(p, &v); /* quadratic */
+    if (search(p, &v, TANGENT | DRAG_TANGENT, next) == 0) return 0;
   }
   return 0;
 }

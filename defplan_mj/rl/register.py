@@ -2,13 +2,48 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 import warnings
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
 from importlib.metadata import entry_points
+from types import ModuleType
 
 NAMESPACE = "defplan"
 ENTRY_POINT = "defplan_mj.rl.single:SuiteEnv"
 GROUP = "defplan_mj.gymnasium"
 """Entry points: functions without arguments that register what a package brings."""
+
+
+class _OnImport(MetaPathFinder):
+    """Registers the tasks as soon as Gymnasium has been imported, whoever imports it."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if name != "gymnasium":
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(name)
+        if spec is not None and spec.loader is not None:
+            load = spec.loader.exec_module
+
+            def load_and_register(module: ModuleType) -> None:
+                load(module)
+                register_all()
+
+            spec.loader.exec_module = load_and_register  # type: ignore[method-assign]
+        return spec
+
+
+def register_with_gymnasium() -> None:
+    """Register all tasks now if Gymnasium is there already, else when it is imported (it takes NumPy along)."""
+    if "gymnasium" in sys.modules:
+        register_all()
+    else:
+        sys.meta_path.insert(0, _OnImport())
 
 
 def register_all() -> None:

@@ -19,6 +19,7 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.switching import evaluate_switching, heading, wrap
 from defplan_mj.planning.robot import Robot
+from defplan_mj.studies.finer_bodies import finer_bodies, same_shapes
 from defplan_mj.task import GaitTask, TaskSpec
 
 CHECK_FILE = "check.json"
@@ -74,17 +75,20 @@ def check_gaits(
     switched: int = 50,
     seed: int = 0,
     progress: Progress = no_progress,
+    finer: bool = False,
 ) -> dict[str, Any]:
     """Play each gait from rest in the reduced dynamics as it is, with finer steps, and in the full FEM.
 
     Args:
         full: whether the full FEM is asked, which takes minutes.
         switched: cycles, switched at random, in which a walker's falls with finer steps are counted.
+        finer: whether bodies of the task's mesh that are reduced less are asked, which have to be built.
 
     Returns:
         'task'; 'gaits', for each 'name', 'advance_m' and 'turn_rad' ({'reduced', 'refined', 'substeps',
         'full'}: of the reduced dynamics; of the same DMP with every step divided by four; with the
-        target's ramp as it is and four times as many substeps; of the full FEM, if it was asked),
+        target's ramp as it is and four times as many substeps; of the full FEM, if it was asked; 'modes',
+        'basis', 'drag_points': of bodies with more of these),
         'shape_error' (rms distance of reduced and full vertices after a rigid motion, of the rms
         displacement from rest) and 'attitude_rad' (between the two bodies at the end); 'drag_force_error',
         'frequency_error' (largest of the first three), 'falls_refined'.
@@ -98,14 +102,14 @@ def check_gaits(
             f"the gaits belong to another body ({gait.body_hash[:8]}) than {body.name}"
             f" ({body.hash[:8]}): solve them for this body"
         )
-    finer, more = refined(gait), replace(gait, substeps=FINER * gait.substeps)
+    divided, more = refined(gait), replace(gait, substeps=FINER * gait.substeps)
     kinds = {
         "reduced": (robot.dynamics, gait),
-        "refined": (replace(robot, gait=finer).dynamics, finer),
+        "refined": (replace(robot, gait=divided).dynamics, divided),
         "substeps": (replace(robot, gait=more).dynamics, gait),
     }
     rows = []
-    tasks = [next(t for t in spec.gait_tasks if t.name == name) for name in gait.task_names]
+    tasks = [_task(spec, name) for name in gait.task_names]
     for j, task in enumerate(tasks):
         row: dict[str, Any] = {"name": task.name, "advance_m": {}, "turn_rad": {}}
         states = {}
@@ -113,16 +117,17 @@ def check_gaits(
             progress(f"check: {task.name}, {kind}", j / len(tasks))
             shapes = np.tile(played.table()[j], (SETTLE + CYCLES, 1))
             states[kind] = dynamics.rollout(dynamics.rest_state(), shapes)
-            ends = states[kind][SETTLE * played.steps_per_cycle :: played.steps_per_cycle]
-            _tell(row, kind, _motion(spec, task, ends))
+            _tell(row, kind, _judged(spec, task, states[kind], played))
         if full:
             _compare_full(spec, robot, j, states["reduced"], row, progress)
         rows.append(row)
+    if finer:
+        _compare_finer(spec, robot, rows, progress)
     errors = body.source.get("frequencies", {}).get("error", [])[:3]
     problem = GaitProblem.of(spec, kinds["refined"][0])
-    problem.steps_per_cycle = finer.steps_per_cycle
+    problem.steps_per_cycle = divided.steps_per_cycle
     progress("check: switching", 1.0)
-    falls = evaluate_switching(problem, finer, switched, seed).falls if robot.world.walks else 0
+    falls = evaluate_switching(problem, divided, switched, seed).falls if robot.world.walks else 0
     return {
         "task": spec.name,
         "gaits": rows,
@@ -130,6 +135,25 @@ def check_gaits(
         "frequency_error": max((abs(e) for e in errors), default=None),
         "falls_refined": falls,
     }
+
+
+def _judged(spec: TaskSpec, task: GaitTask, states: np.ndarray, gait: Gait) -> Motion:
+    """Return the mean motion of the judged cycles of states (N + 1, nx) from rest."""
+    return _motion(spec, task, states[SETTLE * gait.steps_per_cycle :: gait.steps_per_cycle])
+
+
+def _compare_finer(
+    spec: TaskSpec, robot: Robot, rows: list[dict[str, Any]], progress: Progress
+) -> None:
+    """Play the gaits on bodies that are reduced less, and fill in what they do."""
+    gait = robot.gait
+    for kind, _, fine in finer_bodies(spec, progress):
+        dynamics = replace(robot, body=fine).dynamics
+        for j, row in enumerate(rows):
+            progress(f"check: {row['name']}, more {kind.replace('_', ' ')}", j / len(rows))
+            shapes = np.tile(same_shapes(robot.body, fine, gait.table()[j]), (SETTLE + CYCLES, 1))
+            states = dynamics.rollout(dynamics.rest_state(), shapes)
+            _tell(row, kind, _judged(spec, _task(spec, row["name"]), states, gait))
 
 
 def _tell(row: dict[str, Any], kind: str, motion: Motion) -> None:

@@ -8,10 +8,10 @@ from __future__ import annotations
 import sys
 
 from defplan_mj.body.model import Body
-from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.evaluation import EvaluationResult, evaluate
 from defplan_mj.planning.fit import fit_surrogate
+from defplan_mj.planning.robot import Robot
 from defplan_mj.planning.scenes import novel_scenes
 from defplan_mj.registry import get_solver, get_task
 from defplan_mj.task import Navigation
@@ -21,13 +21,13 @@ NAVIGATION = Navigation(distance=6.0, novel_obstacles=2, max_cycles=40)
 
 def main(name: str = "greedy", episodes: int = 3) -> EvaluationResult:
     """Let the fish swim to some targets among cylinders, and return how the episodes ended."""
-    shipped = get_task("fish-swim").shipped
-    assert shipped is not None
-    body, gait = Body.load(shipped[0]), Gait.load(shipped[1])
-    fit = fit_surrogate(ReducedDynamics(body, gait.timestep, **gait.stepping), gait, pairs=60)
+    spec = get_task("fish-swim")
+    assert spec.shipped is not None
+    robot = Robot(Body.load(spec.shipped[0]), Gait.load(spec.shipped[1]), spec.world)
+    fit = fit_surrogate(robot.dynamics, robot.gait, pairs=60)
     planner = get_solver(name, "planner").train(fit, NAVIGATION, seed=0).planner
     scenes = novel_scenes(NAVIGATION, episodes, seed=0)
-    result = evaluate(body, gait, fit, NAVIGATION, planner, scenes)
+    result = evaluate(robot, fit, NAVIGATION, planner, scenes)
     for episode in result.episodes:
         print(f"{episode.outcome} after {episode.cycles} cycles, {episode.path:.1f} m")
     return result

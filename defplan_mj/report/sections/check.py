@@ -10,6 +10,9 @@ _KINDS = {
     "refined": "steps / 4",
     "substeps": "substeps x 4",
     "full": "full FEM",
+    "modes": "more modes",
+    "basis": "larger basis",
+    "drag_points": "more drag points",
 }
 
 
