@@ -102,8 +102,8 @@ class Navigation:
         distance: of the targets, m.
         goal_radius: m.
         max_cycles: gait cycles before an episode times out.
-        k2: number of training targets, evenly spread.
-        k2_obstacles, novel_obstacles: obstacles on the way.
+        k2: number of training targets (the paper's K2), evenly spread.
+        k2_obstacles, novel_obstacles: obstacles on the way, to a training target and in an unseen scene.
         beams: laser beams.
         laser_range: m.
         space: 'planar' (targets, obstacles and laser in the horizontal plane, in the yaw frame) or
@@ -160,7 +160,7 @@ class TaskSpec:
         navigation: the second stage.
         gait_solver, planner, feedback: default plugins, by name; '': the one that says of itself that
             it is the default of its kind (`registry.get_task` fills in its name).
-        rivals: gait solvers that the report compares with, if they are installed.
+        rivals: gait solvers to compare with in the report, if they are installed.
         shipped: files of a body and of gaits that are packaged for the task, or None.
         skin: makes the picture that the body wears, see `host.skin.add_skin`; None: a plain one.
         paper: the paper's figures for this example (Tables I to III), for the report.

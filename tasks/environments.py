@@ -93,7 +93,7 @@ def navigate_environment(
     Args:
         body, gait: what moves, and how.
         time_limit: s.
-        scene: keep to this one; by default every episode draws a novel one.
+        scene: keep to this one; by default every episode draws an unseen one.
         navigation: by default that of `spec`.
         obstacles: on the way to a drawn target; by default navigation.novel_obstacles.
         obstacle_speed: of drawn obstacles, m/s.

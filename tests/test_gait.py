@@ -290,4 +290,4 @@ def test_in_space_switching_is_measured_about_the_tasks_axis_in_the_body_frame(
             assert measured.advance[cycle] == pytest.approx(move[2])
             assert measured.drift[cycle] == pytest.approx(np.hypot(move[0], move[1]))
         wrong = measured.angle[cycle] <= 0 if measured.task[cycle] else move[2] <= 0
-        assert measured.lost[cycle] == (wrong and cycle >= 2)
+        assert measured.wrong_way[cycle] == (wrong and cycle >= 2)

@@ -241,7 +241,7 @@ def _robustness(sub: argparse.ArgumentParser) -> None:
         "--feedback",
         metavar="NAME",
         action="append",
-        help="to be measured, as often as wanted (default: all that are installed)",
+        help="to be measured, as often as you like (default: all that are installed)",
     )
     sub.add_argument("--cycles", type=_count, default=200, metavar="N", help="(default: 200)")
     sub.add_argument(
@@ -354,11 +354,11 @@ def _poisson(text: str) -> float:
     return _number(text, float, lambda x: 0 <= x < 0.5, "a number from 0 to below 0.5")
 
 
-def _number(text: str, kind: type, fits: Callable[[Any], bool], wanted: str) -> Any:
+def _number(text: str, kind: type, fits: Callable[[Any], bool], description: str) -> Any:
     try:
         value = kind(text)
     except ValueError:
         value = None
     if value is None or not fits(value):
-        raise argparse.ArgumentTypeError(f"{text} is not {wanted}")
+        raise argparse.ArgumentTypeError(f"{text} is not {description}")
     return value

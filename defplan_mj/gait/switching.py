@@ -77,8 +77,8 @@ class Switching:
         return np.sqrt(np.maximum((self.turn**2).sum(1) - self.angle**2, 0.0))
 
     @property
-    def lost(self) -> np.ndarray:
-        """(cycles,) cycles that go, or turn, the wrong way."""
+    def wrong_way(self) -> np.ndarray:
+        """(cycles,) which of the counted cycles go, or turn, the wrong way."""
         goes = np.array([task.advance > 0 for task in self.tasks])[self.task]
         sign = [np.sign(task.turn[2]) for task in self.tasks]
         if not self.place.level:
@@ -90,7 +90,7 @@ class Switching:
     @property
     def falls(self) -> int:
         """Cycles that tilt past 30 degrees or come down, or that go or turn the wrong way."""
-        return int(((self.tilt > MAX_TILT) | self.down | self.lost).sum())
+        return int(((self.tilt > MAX_TILT) | self.down | self.wrong_way).sum())
 
     def rows(self) -> list[dict]:
         """Return a row a task: its name, and of its cycles the means and standard deviations.

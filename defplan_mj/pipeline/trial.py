@@ -26,7 +26,7 @@ class Recorders:
 
     Attributes:
         folder: where the logs go, as '<scenes>-<episode>.mcap'.
-        scenes: 'k2' or 'novel'.
+        scenes: 'k2' (training targets) or 'novel' (unseen scenes).
         count: how many episodes are logged.
         parts: what is attached to every log; filled in by `evaluate`.
     """
@@ -71,9 +71,9 @@ def evaluate(
 
     Args:
         run: its planner is finished.
-        scenes: 'k2' or 'novel'.
+        scenes: 'k2' (training targets) or 'novel' (unseen scenes).
         shield: wrap the planner in the safety shield.
-        episodes: how many (None: the task's number of K2 targets, the run's of novel ones).
+        episodes: how many (None: the task's number of training targets, the run's of unseen scenes).
         obstacles: on the way to each target (None: the task's).
         obstacle_speed: m/s.
         log: where the logs go; None: nowhere.
@@ -138,7 +138,7 @@ def steering(run: Run, shield: bool) -> Planner:
 
 
 def environment(run: Run, obstacles: int | None = None) -> Environment:
-    """Return the run's navigation environment; it draws novel scenes from the run's seed."""
+    """Return the run's navigation environment; it draws unseen scenes from the run's seed."""
     from defplan_mj.host.navigation import robot_environment
     from defplan_mj.planning.scenes import NovelScenes
 

@@ -115,13 +115,13 @@ class Material:
 
         'name', 'seed' and what `studies.gait_solvers.measure` says; or 'name', 'seed' and 'error'.
         """
-        found = self.documents.get("gait_solvers", {}).get("solvers")
-        return found if isinstance(found, list) else []
+        solvers = self.documents.get("gait_solvers", {}).get("solvers")
+        return solvers if isinstance(solvers, list) else []
 
     def is_outdated(self, document: dict[str, Any]) -> bool:
         """Return whether a document of measurements says that it is of other gaits than these."""
-        told = document.get("gait")
-        return self.gait is not None and told is not None and told != self.gait.hash
+        gait_hash = document.get("gait")
+        return self.gait is not None and gait_hash is not None and gait_hash != self.gait.hash
 
     @property
     def paper(self) -> dict[str, Any]:

@@ -250,7 +250,7 @@ def two_thread_speed_up(
 
 def _decisions(dynamics: ReducedDynamics, gait: Gait, space: str, cycles: int) -> dict[str, Timing]:
     """Time what each installed feedback takes to choose a target shape, along cycles from rest."""
-    found = {}
+    timings = {}
     for entry in registry.solvers("feedback"):
         if entry.error or entry.name == "none":
             continue
@@ -263,8 +263,8 @@ def _decisions(dynamics: ReducedDynamics, gait: Gait, space: str, cycles: int) -
             shape = feedback.shape(x)
             samples[i] = time.perf_counter() - start
             x = dynamics.step(x, shape)
-        found[entry.name] = Timing(samples)
-    return found
+        timings[entry.name] = Timing(samples)
+    return timings
 
 
 def _environment(robot: Robot, navigation: Navigation, scene: Scene) -> Any:

@@ -25,12 +25,12 @@ def evaluations(document: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str
 def success_section(material: Material) -> Section:
     """Return how episodes end, with intervals, among obstacles still and moving."""
     section = Section("success", "Does it arrive?")
-    found = list(evaluations(material.documents.get("evaluation")))
-    if not found:
+    results = list(evaluations(material.documents.get("evaluation")))
+    if not results:
         section.blocks.append(missing(material, "evaluation.json"))
         return section
     # an evaluation of an older version does not know all of them
-    outcomes = [name for name in ENDINGS if any(name in result for _, result in found)]
+    outcomes = [name for name in ENDINGS if any(name in result for _, result in results)]
     rows = [
         [
             label,
@@ -39,12 +39,12 @@ def success_section(material: Material) -> Section:
             number(result.get("cycles_mean"), 1),
             number(result.get("real_time_factor"), 0),
         ]
-        for label, result in found
+        for label, result in results
     ]
     columns = ["scenes", "episodes", *outcomes, "cycles", "× real time"]
     section.blocks += [
         drawing(
-            rates_figure([(label, rate(r, "success"), interval(r)) for label, r in found]),
+            rates_figure([(label, rate(r, "success"), interval(r)) for label, r in results]),
             "Share of episodes that reach their target without touching an obstacle; the line is "
             "the 95% interval that this number of episodes allows.",
         ),
