@@ -64,7 +64,7 @@ class OpenLoop:
         self._task = self._next = 0
 
     def begin(self, task: int, x: np.ndarray) -> None:
-        """Begin a cycle of gait `task`."""
+        """Begin a cycle of gait `task` in the state x (nx,)."""
         self._task, self._next = task, 0
 
     def shape(self, x: np.ndarray) -> np.ndarray:
@@ -84,7 +84,7 @@ class Recorded:
         self._next = 0
 
     def begin(self, task: int, x: np.ndarray) -> None:
-        """Go on."""
+        """Go on with the shapes that follow, whatever the gait and the state (nx,)."""
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """Return the next target shape (r,)."""

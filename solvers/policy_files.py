@@ -33,7 +33,7 @@ def save_policy(
 def load_policy(
     path: Path, planner: str, task_names: tuple[str, ...]
 ) -> tuple[dict[str, np.ndarray], dict]:
-    """Return arrays and meta of a file of `save_policy`.
+    """Return arrays (by name) and meta of a file of `save_policy`.
 
     Args:
         planner: name of the plugin that should have written it.

@@ -1,1 +1,1 @@
-"""What every other package stands on: errors, files, threads, progress, rotations. It imports none of them."""
+"""What every other package stands on: errors, files, threads, rotations, the plane and space. It imports none."""

@@ -123,7 +123,7 @@ def save_archive(
     arrays: Mapping[str, np.ndarray],
     meta: Mapping[str, Any],
 ) -> str:
-    """Save arrays and JSON-able `meta` as one npz archive; return its content hash.
+    """Save arrays of any shapes and JSON-able `meta` as one npz archive; return its content hash.
 
     The archive says its `kind` (e.g. 'body'), the `version` of that format and the hash of its content.
     """

@@ -26,7 +26,7 @@ def heading_attitude(attitude: np.ndarray) -> np.ndarray:
 
 
 def own_attitude(attitude: np.ndarray) -> np.ndarray:
-    """Return a quaternion as it is."""
+    """Return a quaternion (4,) w x y z as it is."""
     return attitude
 
 

@@ -137,15 +137,15 @@ class _Forces:
         self.mean_total = _means(total[:, None], relative)[:, 0] / scale
 
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the least-squares rows (m (6 + r), c) and what they should give."""
+        """Return the least-squares rows (m (6 + r), c) and what they should give, (m (6 + r),)."""
         return _rows(self.parts), self.total.ravel()
 
     def mean_rows(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rows of the averages."""
+        """Return the least-squares rows of the averages over cycles (6 n, c) and what they should give, (6 n,)."""
         return _rows(self.mean_parts), self.mean_total.ravel()
 
     def errors(self, which: list[int], weights: np.ndarray) -> tuple[float, float]:
-        """Return the relative error, and that of the averages, of some candidates."""
+        """Return the relative error of candidates `which` with `weights` (k,), and that of the averages."""
         off = weights @ self.parts[:, which] - self.total
         mean = weights @ self.mean_parts[:, which] - self.mean_total
         size = max(float(np.linalg.norm(self.total)), 1e-300)
@@ -190,14 +190,14 @@ class _Areas:
         self.weight = np.concatenate([projected.mean() / projected, np.ones(10)])
 
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the least-squares rows and what they should give; where the area is least, more so.
+        """Return the least-squares rows (a, c) and what they should give (a,); where the area is least, more so.
 
         There few triangles make it, and it changes fastest with the direction.
         """
         return (self.parts * self.weight).T, self.target * self.weight
 
     def error(self, which: list[int], weights: np.ndarray) -> float:
-        """Return the largest error of some candidates."""
+        """Return the largest relative error of the candidates `which` with `weights` (k,)."""
         return float(np.abs(weights @ self.parts[which] - self.target).max())
 
     def worst(
@@ -237,7 +237,7 @@ class _System:
         self.square += weight * float(target @ target)
 
     def solved(self, which: list[int]) -> tuple[list[int], np.ndarray]:
-        """Return the candidates of `which` whose weights are positive, and the weights."""
+        """Return the candidates of `which` whose weights are positive, k of them, and the weights (k,)."""
         while which:
             own = self.gram[np.ix_(which, which)] + self.ridge * np.eye(len(which))
             weights = sla.solve(own, self.right[which], assume_a="pos")
@@ -247,7 +247,7 @@ class _System:
         return [], np.zeros(0)
 
     def residual(self, which: list[int], weights: np.ndarray) -> float:
-        """Return the squared residual at the solution."""
+        """Return the squared residual of the candidates `which` with `weights` (k,)."""
         return self.square - float(weights @ self.right[which])
 
     def gains(self, which: list[int]) -> np.ndarray:
@@ -267,7 +267,7 @@ class _System:
         return gain
 
     def grown(self, which: list[int], count: int) -> tuple[list[int], np.ndarray]:
-        """Return at most `count` candidates, `which` and those that gain most, one after another."""
+        """Return at most `count` candidates, `which` and those that gain most, one by one; weights as `solved`."""
         which, weights = self.solved(which)
         for _ in range(2 * count):  # some leave again
             gain = self.gains(which)
@@ -277,7 +277,7 @@ class _System:
         return which, weights
 
     def swapped(self, which: list[int]) -> tuple[list[int], np.ndarray]:
-        """Return as many candidates, each exchanged for another while that helps."""
+        """Return as many candidates, each exchanged for another while that helps; weights as `solved`."""
         which, weights = self.solved(which)
         for _ in range(_SWAPS):
             before = self.residual(which, weights)

@@ -1,1 +1,1 @@
-"""The dynamics: the reduced step for Python and CasADi, the full FEM, the rigid surrogate's step."""
+"""The dynamics: the reduced step for Python and CasADi, the full FEM, the rigid surrogate's step, worlds."""

@@ -132,7 +132,7 @@ class Drag:
         return v, through, np.sqrt((v * v).sum(0) + _SPEED_SQUARED)
 
     def energy(self, x: np.ndarray) -> float:
-        """Return the potential, J."""
+        """Return the potential at vertices x (n, 3), J."""
         _, through, speed = self._motion(x)
         density = self._normal * np.abs(through) ** 3 + self._tangent * speed**3
         return float(self._time / 3.0 * density.sum())
@@ -176,7 +176,7 @@ class Viscosity:
         return self._parts.strain_rate(self._elements.deformation(x - self._origin))
 
     def energy(self, x: np.ndarray) -> float:
-        """Return the potential, J."""
+        """Return the potential at vertices x (n, 3), J."""
         fem = self._elements
         return self._factor * float(fem.volumes @ density(self._strain(x), fem.mu, fem.lam))
 
@@ -230,11 +230,11 @@ class Step:
     contact: Touch | None = None
 
     def hold(self, x: np.ndarray) -> HeldContact | None:
-        """Return the contact at x, if there is any."""
+        """Return the contact of vertices x (n, 3), if there is any."""
         return None if self.contact is None else self.contact.hold(x)
 
     def energy(self, x: np.ndarray, parts: Polar, held: HeldContact | None = None) -> float:
-        """Return E (J) at x, with what contact holds."""
+        """Return E (J) of vertices x (n, 3), with what contact holds."""
         fem, offset = self.elements, x - self.guess
         energy = 0.5 * float(self.inertia @ (offset**2).sum(1)) + float((self.linear * x).sum())
         strain = density(parts.stretch - self.centre, fem.mu, fem.lam)
@@ -303,7 +303,11 @@ class Step:
     def factor(
         self, x: np.ndarray, parts: Polar, held: HeldContact | None = None
     ) -> CholeskyFactor:
-        """Return the factor of the second derivative, or of a definite one near it."""
+        """Return the factor of the second derivative at x (n, 3), or of a definite one near it.
+
+        Raises:
+            DefplanError: neither has one.
+        """
         for definite in (False, True):
             factor = self.elements.order.factor(self.blocks(x, parts, held, definite))
             if factor is not None:

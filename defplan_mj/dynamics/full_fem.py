@@ -189,7 +189,7 @@ class FullFem:
     def step_info(
         self, state: FemState, target: np.ndarray | None = None
     ) -> tuple[FemState, StepInfo]:
-        """Like `step`, with how the solves went."""
+        """Return the state after a step, see `step`, and how its solves went."""
         count, largest, n = 0, 0.0, self.substeps
         target = None if target is None else self._checked(target, "target shape")
         start = state.target if state.target is not None else target

@@ -219,7 +219,7 @@ class ReducedDynamics:
         return states
 
     def rollout_count(self, x0: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, int]:
-        """Like `rollout`, but return the number of failed solves instead of raising."""
+        """Return the states (N + 1, nx) of `rollout`, and how many of its solves failed, instead of raising."""
         u = self._inputs(u)
         states = np.empty((len(u) + 1, self.nx))
         states[0] = self._state(x0)
@@ -229,7 +229,11 @@ class ReducedDynamics:
     def step_jacobian(
         self, x: np.ndarray, u: np.ndarray, x_next: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return dx_next/dx (nx, nx) and dx_next/du (nx, nu) at a solved step, exact."""
+        """Return dx_next/dx (nx, nx) and dx_next/du (nx, nu) at a solved step, exact.
+
+        Raises:
+            DefplanError: the step has no derivative there.
+        """
         a, b = np.empty((self.nx, self.nx)), np.empty((self.nx, self.nu))
         args = (self._state(x), self._input(u), self._state(x_next))
         if self._lib.dp_step_jac(self.model, *args, a, b):
@@ -239,7 +243,11 @@ class ReducedDynamics:
     def step_adjoint(
         self, x: np.ndarray, u: np.ndarray, x_next: np.ndarray, g_next: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the gradients over x (nx,) and u (nu,) of g_next . x_next."""
+        """Return the gradients over x (nx,) and u (nu,) of g_next . x_next.
+
+        Raises:
+            DefplanError: the step has no derivative there.
+        """
         gx, gu = np.empty(self.nx), np.empty(self.nu)
         args = (self._state(x), self._input(u), self._state(x_next), self._state(g_next))
         if self._lib.dp_step_adj(self.model, *args, gx, gu):
@@ -255,6 +263,9 @@ class ReducedDynamics:
             u: (N, nu) inputs of the rollout.
             states: (N + 1, nx) its states.
             g_states: (N + 1, nx) partial derivatives of the function by the states.
+
+        Raises:
+            DefplanError: the shapes do not fit, or a step has no derivative.
         """
         u = self._inputs(u)
         total, gu = np.array(g_states, np.float64, order="C"), np.empty_like(u)
@@ -269,7 +280,7 @@ class ReducedDynamics:
         return total[0], gu
 
     def energy(self, x: np.ndarray) -> dict[str, float | np.ndarray]:
-        """Return kinetic, elastic and potential energy (J), linear (kg m/s) and angular momentum."""
+        """Return kinetic, elastic and potential energy (J), linear (3,) (kg m/s) and angular momentum (3,)."""
         out = np.empty(9)
         self._lib.dp_energy(self.model, self._state(x), out)
         return {
@@ -292,7 +303,7 @@ class ReducedDynamics:
         return points
 
     def contacts(self, x: np.ndarray) -> Contacts:
-        """Return what touches the terrain in `x`, with the forces of the step that led to it."""
+        """Return what touches the terrain in the state `x` (nx,), with the forces of the step that led to it."""
         n = len(contact_points(self.body))
         points, forces, gaps = np.empty((n, 3)), np.zeros((n, 3)), np.empty(n)
         if self.terrain is None:

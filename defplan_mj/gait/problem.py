@@ -142,7 +142,7 @@ class GaitProblem:
         return STYLES[style](body, self.axis)
 
     def random_gait(self, rng: np.random.Generator) -> np.ndarray:
-        """Return w of any phases and a little motion, mostly of the style.
+        """Return w (n_w,) of any phases and a little motion, mostly of the style.
 
         A walker's is smaller, so that it stays on its feet, and its elements follow each other evenly.
         """
@@ -293,7 +293,7 @@ class GaitProblem:
         export.export(self, path, seed, start, bound, sequences)
 
     def gait(self, w: np.ndarray, meta: dict) -> Gait:
-        """Return the Gait of w."""
+        """Return the Gait of w (n_w,), with `meta` for its file."""
         mu, alpha, beta = self.split(w)
         return Gait(
             body_hash=self.dynamics.body.hash,
@@ -309,7 +309,7 @@ class GaitProblem:
         )
 
     def w_of(self, gait: Gait) -> np.ndarray:
-        """Return the unknowns of a Gait of this problem."""
+        """Return the unknowns w (n_w,) of a Gait of this problem."""
         return self.join(gait.mu, gait.alpha, gait.beta)
 
 

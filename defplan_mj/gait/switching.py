@@ -141,7 +141,7 @@ def heading(x: np.ndarray) -> np.ndarray:
 
 
 def wrap(angle: np.ndarray) -> np.ndarray:
-    """Return angles in [-pi, pi), rad."""
+    """Return angles (...,) in [-pi, pi), rad."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 

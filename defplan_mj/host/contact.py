@@ -32,7 +32,7 @@ class Nearest:
 
 
 def collidable(model: mujoco.MjModel, robot: int) -> np.ndarray:
-    """Return the ids of the geoms that the body `robot` can touch: primitives with a contact bit."""
+    """Return the ids (g,) of the geoms that the body `robot` can touch: primitives with a contact bit."""
     others = model.body_rootid[model.geom_bodyid] != robot
     touchable = (model.geom_contype | model.geom_conaffinity) != 0
     return np.flatnonzero(others & touchable & np.isin(model.geom_type, list(PRIMITIVES)))

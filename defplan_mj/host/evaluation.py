@@ -31,13 +31,13 @@ PARALLEL_FROM = 16  # episodes; fewer are done before a second process has start
 
 
 class EpisodeRecorder(Protocol):
-    """What `run_episode` tells while an episode runs; `log.recorder.Recorder` is one."""
+    """What `run_episode` reports to while an episode runs; `log.recorder.Recorder` is one."""
 
     def begin(self, context: Mapping[str, Any], scene: Scene) -> None:
         """Take what is known before the first step."""
 
     def step(self, time: float, x: np.ndarray, target_shape: np.ndarray, clearance: float) -> None:
-        """Take one physics step."""
+        """Take one physics step: time, s; state (13 + 3r,) and target shape (r,) after it; clearance, m."""
 
     def cycle(
         self,
@@ -49,7 +49,7 @@ class EpisodeRecorder(Protocol):
         reward: float,
         laser: np.ndarray,
     ) -> None:
-        """Take one gait cycle, after its last step."""
+        """Take one gait cycle, after its last step: the planner's values (K,) and what it sensed, (beams,)."""
 
     def end(self, outcome: str, reason: str = "") -> None:
         """Take how the episode ended."""

@@ -70,7 +70,7 @@ class RunFiles:
 
     @cached_property
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of the body's surface points to draw, and their faces (at most 600)."""
+        """Rows (p,) of the body's surface points to draw, and their faces (f, 3), at most 600."""
         vertices, faces = decimate(self.body.vertices, self.body.faces, 600)
         return np.searchsorted(self.body.surface, vertices), faces
 

@@ -1,1 +1,1 @@
-"""Planning with gaits: surrogate, scenes, observation, planners' interface, collision check, evaluation."""
+"""Planning with gaits: robot, scenes, sensors, surrogate, observation, what a planner is, collision check."""

@@ -52,7 +52,7 @@ class Shield:
         self.planner.reset()
 
     def values(self, observation: Observation) -> np.ndarray:
-        """Return the planner's values, those of unsafe gaits lowered below all others."""
+        """Return the planner's values (K,), those of unsafe gaits lowered below all others."""
         safe = self.safe(seen_points(observation["laser"], self.navigation))
         values = self.planner.values({**observation, "safe": safe})
         return np.where(safe, values, values - (np.ptp(values) + 1.0))

@@ -62,7 +62,7 @@ class KernelVectorEnv(gymnasium.vector.VectorEnv):
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode of each robot; with a seed s robot i draws from s + i."""
+        """Begin an episode of each robot; with a seed s robot i draws from s + i. Observations are (n, size)."""
         super().reset(seed=seed if isinstance(seed, int) else None)
         if seed is not None:
             seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed

@@ -69,7 +69,7 @@ class SuiteEnv(gymnasium.Env):
 
 
 def flat(observation: dict[str, np.ndarray]) -> np.ndarray:
-    """Return an observation's arrays one behind the other."""
+    """Return an observation's arrays one behind the other, (size,)."""
     return np.concatenate([np.ravel(array) for array in observation.values()])
 
 

@@ -50,7 +50,7 @@ class Iterate:
         )
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return the four arrays."""
+        """Return the four arrays: states, forces, shapes, w."""
         return self.states, self.forces, self.shapes, self.w
 
 
@@ -120,7 +120,7 @@ class ContactInvariant:
         return float(self._of_w(w))
 
     def of_w(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return gradient and Hessian of `regular`, over alpha and beta."""
+        """Return gradient and Hessian of `regular` at w (n_w,), over alpha and beta."""
         gradient, hessian = self._of_w_derivatives(w)
         return np.array(gradient).ravel(), np.array(hessian)
 

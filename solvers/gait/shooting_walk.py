@@ -231,7 +231,7 @@ def hardest(
 def solvable(
     problem: GaitProblem, w: np.ndarray, cycles: int, count: int, rng: np.random.Generator
 ) -> list[list[int]]:
-    """Return random sequences of tasks, each task first in as many; none whose solve fails at w."""
+    """Return `count` random sequences of tasks, each task first in as many; none whose solve fails at w (n_w,)."""
     dynamics, table = problem.dynamics, problem.gait(w, {}).table()
     sequences: list[list[int]] = []
     for _ in range(10 * count):
@@ -245,14 +245,14 @@ def solvable(
 
 
 def repeated(problem: GaitProblem, w: np.ndarray, cycles: int) -> list[list[int]]:
-    """Return each task over and over; none whose solve fails at w."""
+    """Return a sequence of each task over and over; none whose solve fails at w (n_w,)."""
     table = problem.gait(w, {}).table()
     sequences = [[j] * cycles for j in range(problem.n_tasks)]
     return [one for one in sequences if solves(problem.dynamics, table[one])]
 
 
 def falls(problem: GaitProblem, w: np.ndarray) -> int:
-    """Return how often the walker comes down in walks at w: tasks at random, and mostly kept on with."""
+    """Return in how many cycles the walker comes down at w (n_w,), tasks at random and mostly kept."""
     table = problem.gait(w, {}).table()
     return sum(
         int(roll_cycles(problem.dynamics, table[random_tasks(problem.n_tasks, kept)])[1].sum())
@@ -261,7 +261,7 @@ def falls(problem: GaitProblem, w: np.ndarray) -> int:
 
 
 def random_tasks(tasks: int, kept: float, rng: np.random.Generator | None = None) -> np.ndarray:
-    """Return tasks of a long walk: random ones, or, with the chance `kept`, that of the cycle before."""
+    """Return tasks (cycles,) of a long walk: random ones, or, with the chance `kept`, that of the cycle before."""
     rng = rng or np.random.default_rng(0)
     task = rng.integers(tasks, size=_WALK)
     if kept:

@@ -190,7 +190,7 @@ class Trajectories:
         physics: float,
         dmp: float,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return gradient and Hessian entries of physics E_phys + E_obj + dmp E_dmp."""
+        """Return gradient (size,) and Hessian entries (see `matrix`) of physics E_phys + E_obj + dmp E_dmp."""
         residual, jacobian = self._stage_jacobian(self._before(states), shapes, states)
         jacobian = jacobian.reshape(self.total, -1, self.nt)  # transposed
         gradient_cycle, hessian_cycle = self._cycle_derivatives(self._cycles(states), self._goals)
@@ -205,14 +205,14 @@ class Trajectories:
         return gradient[:-1], np.concatenate([blocks.ravel(), hessian_cycle, diagonal])
 
     def matrix(self, entries: np.ndarray, damping: np.ndarray) -> sp.csc_matrix:
-        """Return Hessian + diag(damping) of the entries of `system`."""
+        """Return Hessian + diag(damping), (size, size), of the entries of `system`."""
         entries = entries.copy()
         entries[-self.size :] += damping
         data = np.bincount(self._place, entries[self._kept], minlength=len(self._indices))
         return sp.csc_matrix((data, self._indices, self._indptr), (self.size, self.size))
 
     def solve(self, entries: np.ndarray, damping: np.ndarray, rhs: np.ndarray) -> np.ndarray:
-        """Solve (Hessian + diag(damping)) step = rhs."""
+        """Return the step (size,) that solves (Hessian + diag(damping)) step = rhs."""
         symmetric = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
         factor = sla.splu(self.matrix(entries, damping), diag_pivot_thresh=0.0, **symmetric)
         return factor.solve(rhs)

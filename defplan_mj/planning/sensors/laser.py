@@ -42,7 +42,7 @@ class Laser:
         return readings[..., None] * directions, readings < navigation.laser_range * _HIT
 
     def features(self, readings: np.ndarray, navigation: Navigation) -> np.ndarray:
-        """Return the beams' proximities 1 - distance / range."""
+        """Return the beams' proximities (..., beams), 1 - distance / range."""
         return 1.0 - readings / navigation.laser_range
 
 
