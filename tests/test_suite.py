@@ -8,7 +8,6 @@ import subprocess
 import sys
 from unittest import mock
 
-import host_samples as samples
 import mujoco
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from mujoco import rollout
 from defplan_mj import suite
 from defplan_mj.base.errors import DefplanError
 from defplan_tasks import environments
+from tests.samples import host as samples
 
 KWARGS = {
     ("fish", "swim"): lambda: {"body": samples.fish()},
