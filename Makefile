@@ -6,7 +6,7 @@ PYTHON := $(VENV)/bin/python
 READY := $(VENV)/.defplan-ready
 SOURCES := requirements.lock pyproject.toml setup.py \
 	$(wildcard defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch])
-LINTED := defplan_mj tasks solvers
+LINTED := defplan_mj tasks solvers tests
 
 .PHONY: help setup demo test test-full sanitize sanitize-fast bench lint clean
 

@@ -54,7 +54,9 @@ def test_headings_of_all_forms_are_the_same(yaw):
     np.testing.assert_allclose(rotations.matrix(quaternion), matrix, atol=1e-15)
     assert rotations.heading(matrix) == pytest.approx(yaw, abs=1e-14)
     assert rotations.quaternion_heading(quaternion) == pytest.approx(yaw, abs=1e-14)
-    np.testing.assert_allclose(rotations.upright([yaw]).as_matrix()[0], matrix, atol=1e-15)
+    np.testing.assert_allclose(
+        rotations.upright(np.array([yaw])).as_matrix()[0], matrix, atol=1e-15
+    )
 
 
 def test_any_number_of_leading_axes_is_kept():

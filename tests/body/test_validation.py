@@ -196,7 +196,7 @@ def test_a_gait_with_a_field_that_cannot_be_is_refused(tmp_path, name, change):
         (Terrain(heightfield=Heightfield(np.zeros((1, 4)), (1.0, 1.0))), "2 x 2"),
         (Terrain(heightfield=Heightfield(np.full((4, 4), np.nan), (1.0, 1.0))), "heights"),
         (Terrain(heightfield=Heightfield(np.zeros((4, 4)), (1.0, np.inf))), "half_size"),
-        (Terrain(heightfield=Heightfield(np.zeros((4, 4)), (1.0,))), "half_size"),
+        (Terrain(heightfield=Heightfield(np.zeros((4, 4)), (1.0,))), "half_size"),  # type: ignore[arg-type]
         (
             Terrain(heightfield=Heightfield(np.zeros((4, 4)), (1.0, 1.0), (0, 0, np.inf))),
             "position",
@@ -212,6 +212,6 @@ def test_a_terrain_that_cannot_be_is_refused(terrain, says):
 
 def test_a_header_that_is_json_but_no_header_is_refused(tmp_path):
     header = np.frombuffer(json.dumps([1, 2]).encode(), np.uint8)
-    np.savez(tmp_path / "b.npz", **{"header.json": header})
+    np.savez(tmp_path / "b.npz", **{"header.json": header})  # type: ignore[arg-type]
     with pytest.raises(DefplanError, match="not a whole body file"):
         Body.load(tmp_path / "b.npz")

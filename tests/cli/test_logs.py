@@ -10,8 +10,7 @@ import pytest
 
 from defplan_mj import cli
 from defplan_mj.log.replay import replay_log
-from defplan_mj.log.run_files import RunFiles
-from tests.samples.logs import record_episode, record_swim, swimming_body, swimming_gait
+from tests.samples.logs import record_episode
 
 
 @pytest.fixture
@@ -66,11 +65,8 @@ def test_a_missing_or_foreign_log_is_one_sentence(command, tmp_path, capfd):
     assert code == 1 and out == "" and err.count("\n") == 1 and "is not an MCAP log" in err
 
 
-def test_replay_exits_with_0_only_if_every_bit_is_the_same(tmp_path, capfd, monkeypatch):
-    path = tmp_path / "swim.mcap"
-    body = swimming_body(tmp_path)
-    record_swim(path, RunFiles.of(body, swimming_gait(body)), cycles=2)
-    code, out, _ = run(["replay", path, "--quiet", "--json"], capfd)
+def test_replay_exits_with_0_only_if_every_bit_is_the_same(swim_log, capfd, monkeypatch):
+    code, out, _ = run(["replay", swim_log, "--quiet", "--json"], capfd)
     assert code == 0 and json.loads(out)["identical"] is True
 
     def bent(log, progress):
@@ -79,7 +75,7 @@ def test_replay_exits_with_0_only_if_every_bit_is_the_same(tmp_path, capfd, monk
         return replay_log(dataclasses.replace(log, target_shapes=shapes), progress)
 
     monkeypatch.setattr("defplan_mj.log.replay.replay_log", bent)
-    code, out, _ = run(["replay", path, "--quiet", "--json"], capfd)
+    code, out, _ = run(["replay", swim_log, "--quiet", "--json"], capfd)
     data = json.loads(out)
     assert code == 1
     assert data["identical"] is False and data["difference"]["step"] == 8

@@ -30,8 +30,8 @@ from defplan_mj.report import report
 from defplan_mj.report.content import Section, Text
 from defplan_mj.task import Navigation
 from tests.samples.logs import record_episode
+from tests.samples.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/plugins.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 

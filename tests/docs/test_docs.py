@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,8 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import GaitTask, Navigation, TaskSpec
+from tests.samples.paths import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 COMMAND = re.compile(r"^\s*(?:\$ )?(defplan [a-z].*?)(?:\s+#.*)?$", re.MULTILINE)
@@ -56,8 +57,7 @@ def test_commands_in_shell_blocks_are_understood(page):
 
 def test_every_command_and_option_has_its_place_on_the_command_line_page():
     text = (ROOT / "docs/command-line.md").read_text()
-    commands = next(a for a in build()._actions if isinstance(a.choices, dict)).choices
-    assert commands is not None
+    commands = next(a.choices for a in build()._actions if isinstance(a.choices, dict))
     for name, parser in commands.items():
         assert re.search(rf"^## .*\b{name}\b", text, re.MULTILINE), name
         for action in parser._actions:
@@ -83,7 +83,8 @@ def test_the_plugin_page_s_gait_solver_solves(small_fish):
 
 def test_the_plugin_page_s_planner_and_task_work(tmp_path):
     blocks = python_blocks(ROOT / "docs/plugins.md")
-    task, planner = ({"__file__": str(tmp_path / "eel.py")} for _ in range(2))
+    task: dict[str, Any] = {"__file__": str(tmp_path / "eel.py")}
+    planner = dict(task)
     exec(next(b for b in blocks if "TaskSpec(" in b), task)
     exec(next(b for b in blocks if "class StraightSolver" in b), planner)
     assert isinstance(task["SWIM"], TaskSpec)

@@ -199,7 +199,7 @@ def test_failures_are_told_apart(dynamics, at, small_fish, capfd):
     for state, shape, reason in cases:
         with pytest.raises(RuntimeError, match="Evaluation failed"):
             step(state, shape)
-        assert reason in failure(step)
+        assert reason in (failure(step) or "")
     assert failure(step) is None
     hurried = CasadiDynamics(ReducedDynamics(small_fish, max_newton=1, tolerance=1e-30)).step
     with pytest.raises(RuntimeError):
@@ -209,7 +209,7 @@ def test_failures_are_told_apart(dynamics, at, small_fish, capfd):
     assert said.count("not finite") == said.count("quaternion") == said.count("not solved") == 1
     with pytest.raises(RuntimeError):  # derivatives as well
         step.reverse(1)(x, u, np.full(dynamics.nx, np.nan), np.ones(dynamics.nx))
-    assert "not finite" in failure(step)
+    assert "not finite" in (failure(step) or "")
 
 
 def test_functions_of_one_step_of_a_body_share_a_slot(dynamics, at):

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import gc
-import importlib.util
-import sys
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -15,6 +12,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from tests.samples.examples import example as example_named
 from tests.samples.kernel_cases import random_state
 
 
@@ -73,7 +71,8 @@ def test_the_gradient_through_casadis_own_chain_of_steps_is_the_rollouts(dynamic
     for rollout in (symbolic.rollout(n), symbolic.step.mapaccum(n)):
         cost = ca.sumsqr(rollout(x0, symbols))
         gradients.append(ca.Function("g", [symbols], [ca.gradient(cost, symbols)])(u.T))
-    np.testing.assert_allclose(*(np.array(g) for g in gradients), rtol=1e-10)
+    one, other = (np.array(g) for g in gradients)
+    np.testing.assert_allclose(one, other, rtol=1e-10)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -177,15 +176,6 @@ def test_the_step_without_second_derivatives_has_the_same_value_and_jacobian(dyn
     np.testing.assert_allclose(np.array(at), 2 * np.eye(dynamics.nu), atol=1e-15)
 
 
-def example_named(name: str):
-    path = Path(__file__).parents[2] / "docs" / "examples" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # its dataclasses look their types up there
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def example():
     return example_named("multiple_shooting")
@@ -215,8 +205,8 @@ def test_both_solvers_of_the_worked_example_agree(dynamics, example):
     if not ca.has_nlpsol("fatrop"):
         pytest.skip("this CasADi has no fatrop")
     wanted = np.array([0.3, 0.1, 0.0, 0.0, 0.0])
-    shapes = [example.reach(dynamics, wanted, 5, solver)[1] for solver in ("ipopt", "fatrop")]
-    np.testing.assert_allclose(*shapes, atol=1e-4)
+    one, other = (example.reach(dynamics, wanted, 5, solver)[1] for solver in ("ipopt", "fatrop"))
+    np.testing.assert_allclose(one, other, atol=1e-4)
 
 
 def test_the_worked_example_runs_as_a_script(small_fish, example, tmp_path, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,11 +19,11 @@ from defplan_mj.dynamics.fem_contact import FemContact
 from defplan_mj.dynamics.fem_step import Touch
 from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.terrain import Heightfield, Terrain, TerrainGeom
-from tests.samples.meshes import FISH, bar, unreduced_body
+from tests.samples.meshes import bar, unreduced_body
 
 LOOSE = Material(damping=0.0, control_stiffness=0.0)
 H = 0.01
-EULER = {"integrator": "implicit-euler", "substeps": 1}
+EULER: dict[str, Any] = {"integrator": "implicit-euler", "substeps": 1}
 BOTH = pytest.mark.parametrize("integrator", ["variational", "implicit-euler"])
 
 
@@ -70,12 +71,13 @@ def test_sparse_factor_solves_as_a_dense_one_and_refuses_an_indefinite_matrix(bo
     dense = np.zeros((n, 3, n, 3))
     dense[low[:, 0], :, low[:, 1]] = blocks
     dense[low[:, 1], :, low[:, 0]] = blocks.transpose(0, 2, 1)
-    dense = dense.reshape(3 * n, 3 * n)
+    matrix = dense.reshape(3 * n, 3 * n)
     order = SparseCholesky(n, low[:, 0], low[:, 1])
     factor = order.factor(blocks)
+    assert factor is not None
     for shape in ((3 * n,), (3 * n, 2), (n, 3)):
         right = rng.normal(size=shape)
-        wanted = np.linalg.solve(dense, right.reshape(3 * n, -1)).reshape(shape)
+        wanted = np.linalg.solve(matrix, right.reshape(3 * n, -1)).reshape(shape)
         np.testing.assert_allclose(factor.solve(right), wanted, atol=1e-12)
     blocks[diagonal] -= 60.0 * np.eye(3)
     assert order.factor(blocks) is None
@@ -92,8 +94,9 @@ def test_gradient_and_hessian_are_the_derivatives_of_the_energy(body, integrator
     scale = 2.0 if integrator == "variational" else 1.0
     # hold contact as it is without damping and friction: then it has a potential
     contact = FemContact(Terrain(friction=0.0, thickness=0.2, damping=0.0), strong)
-    step = dataclasses.replace(step, contact=Touch(contact, state.now, H, scale))
-    np.testing.assert_allclose(step.contact.end(x), end(x))
+    touch = Touch(contact, state.now, H, scale)
+    step = dataclasses.replace(step, contact=touch)
+    np.testing.assert_allclose(touch.end(x), end(x))
 
     def gradient(x):
         return step.gradient(x, polar(step.elements.deformation(x)), step.hold(x))
@@ -103,7 +106,8 @@ def test_gradient_and_hessian_are_the_derivatives_of_the_energy(body, integrator
 
     parts = polar(step.elements.deformation(x))
     hessian = step.matrix(step.blocks(x, parts, step.hold(x)))
-    assert len(step.hold(x).touching)
+    held = step.hold(x)
+    assert held is not None and len(held.touching)
     for _ in range(3):
         d = rng.normal(size=x.shape)
         slope = (gradient(x) * d).sum()
@@ -170,11 +174,11 @@ def test_energy_of_a_swinging_body_is_lost_at_third_order_and_never_gained():
     for count in (16, 32):
         fem = FullFem(body, period, drag=False, substeps=count, tolerance=1e-10)
         state = fem.at(np.zeros(2), velocity=0.05 * body.modes[:, :, 0] / period)
-        total = []
+        total: list[float] = []
         for _ in range(4):
             state = fem.step(state)
             energy = fem.energy(state)
-            total.append(energy["kinetic"] + energy["elastic"])
+            total.append(float(energy["kinetic"] + energy["elastic"]))
         assert (np.diff(total) < 0.0).all()
         losses.append(1.0 - total[-1] / total[0])
     assert losses[0] < 0.1
@@ -201,7 +205,7 @@ def test_energy_never_grows_in_the_medium_with_damping_and_a_held_rest_shape(bod
 def test_rigid_motion_costs_no_elastic_energy(body):
     fem = FullFem(body, H)
     turn = exponential(np.array([1.0, 2.0, -0.5]))
-    state = fem.at(np.zeros(4), position=[3.0, 0.0, 1.0], rotation=turn)
+    state = fem.at(np.zeros(4), position=np.array([3.0, 0.0, 1.0]), rotation=turn)
     np.testing.assert_allclose(state.now, body.vertices @ turn.T + [3.0, 0.0, 1.0])
     assert fem.energy(state)["elastic"] == pytest.approx(0.0, abs=1e-15)
 
@@ -293,7 +297,7 @@ def test_drag_on_a_box_is_the_formula():
     box = unreduced_body(bar((2, 2, 2), (0.5, 0.3, 0.2)), 1, stiff, medium)
     fem = FullFem(box, 0.02, tolerance=1e-11, **EULER)
     v0 = 2.0
-    state = fem.step(fem.at(np.zeros(1), velocity=[v0, 0.0, 0.0]))
+    state = fem.step(fem.at(np.zeros(1), velocity=np.array([v0, 0.0, 0.0])))
     front, all_sides = 0.3 * 0.2, 2 * (0.3 * 0.2 + 0.5 * 0.2 + 0.5 * 0.3)
 
     def balance(v):
@@ -437,7 +441,8 @@ def test_a_dropped_box_slides_to_a_stop_by_the_law_of_friction():
     terrain = Terrain(friction=0.5, slip_speed=0.001, thickness=0.01)
     fem = FullFem(box, 0.02, False, terrain, substeps=2)
     # where the spring carries the weight: 16 lower vertices with their share of it
-    state = fem.at(np.zeros(1), position=[0.0, 0.0, 0.025 + 0.0075], velocity=[1.0, 0.0, 0.0])
+    start, slide = np.array([0.0, 0.0, 0.025 + 0.0075]), np.array([1.0, 0.0, 0.0])
+    state = fem.at(np.zeros(1), position=start, velocity=slide)
     share = box.vertex_mass / box.mass
     path = [share @ state.now[:, 0]]
     for _ in range(20):
@@ -451,12 +456,9 @@ def test_a_dropped_box_slides_to_a_stop_by_the_law_of_friction():
 
 
 @pytest.mark.slow
-def test_a_released_bent_fish_is_followed_by_the_reduced_step_within_3_percent():
-    from defplan_mj.body.build import build_body
+def test_a_released_bent_fish_is_followed_by_the_reduced_step_within_3_percent(fish):
     from defplan_mj.body.check import released_shape_error
-    from defplan_mj.task import BodyOptions
 
-    fish = build_body(FISH, BodyOptions(vertices=2118))
     assert released_shape_error(fish)["relative"] < 0.03
     # and swinging freely, where nothing damps the modes that the reduction leaves out
     loose = dataclasses.replace(

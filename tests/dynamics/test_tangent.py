@@ -49,7 +49,7 @@ def _state(numbers: np.ndarray, attitude: np.ndarray) -> np.ndarray:
 )
 def test_any_change_up_to_nearly_half_a_turn_is_found_again(numbers, attitude, z):
     x = _state(numbers, attitude)
-    z[3:6] *= 1.9 / max(1.9, np.linalg.norm(z[3:6]))
+    z[3:6] *= 1.9 / max(1.9, float(np.linalg.norm(z[3:6])))
     there = tangent.retract(x, z)
     assert np.linalg.norm(there[3:7]) == pytest.approx(1, abs=1e-14)
     np.testing.assert_allclose(tangent.difference(there, x), z, atol=1e-11)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +17,6 @@ from defplan_mj.gait.switching import measure_cycles, roll_cycles, tilt
 from defplan_mj.task import GaitTask
 from defplan_tasks import quadruped
 from tests.samples import host as samples
-
-ASSETS = Path(__file__).parents[2] / "tasks" / "assets"
 
 
 @pytest.mark.parametrize("space", ["planar", "spatial"])

@@ -128,7 +128,7 @@ def test_moving_obstacle_is_where_its_velocity_takes_it():
     physics, still = samples.physics(), samples.physics()
     velocity = np.array([-0.5, 0.25, 0.0])
     with physics.reset_context():
-        physics.set_scene(samples.scene([(1.5, -0.6, 0.3)], velocities=[velocity]))
+        physics.set_scene(samples.scene([(1.5, -0.6, 0.3)], velocities=[tuple(velocity)]))
     for _ in range(40):
         physics.step()
         centre = np.array([1.5, -0.6, 0.0]) + velocity * physics.time()

@@ -16,6 +16,7 @@ from defplan_mj.host.evaluation import (
 )
 from defplan_mj.host.navigation import robot_environment
 from defplan_mj.planning.fit import fit_surrogate
+from defplan_mj.planning.planner import Observation
 from defplan_mj.planning.robot import Robot
 from defplan_mj.task import Navigation
 from defplan_tasks.environments import ASSETS
@@ -30,7 +31,7 @@ class Fixed:
 
     def __init__(self, gait: int) -> None:
         self.gait = gait
-        self.observations = []
+        self.observations: list[Observation] = []
 
     def reset(self):
         self.observations = []
@@ -44,7 +45,10 @@ class Note:
     """A recorder that keeps all it is told."""
 
     def __init__(self):
-        self.steps, self.cycles, self.begun, self.ended = [], [], None, None
+        self.steps: list[tuple] = []
+        self.cycles: list[tuple] = []
+        self.begun: tuple = ()
+        self.ended: tuple = ()
 
     def begin(self, context, scene):
         self.begun = (context, scene)

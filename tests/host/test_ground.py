@@ -16,8 +16,10 @@ from defplan_mj.host.navigation import navigation_environment
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.render import render_states
 from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.planning.robot import Robot
 from defplan_mj.task import Navigation
 from tests.samples import host as samples
+from tests.samples.planning import surrogate
 
 TIMESTEP = 0.02
 
@@ -43,10 +45,10 @@ def still() -> Gait:
 
 
 def _environment(still: Gait, terrain: Terrain, scene=None):
+    shown = scene or samples.scene([], yaw=0.7)
     return navigation_environment(
-        samples.walker(), still, Navigation(), None, terrain=terrain,
-        scene=scene or samples.scene([], yaw=0.7),
-    )  # fmt: skip
+        samples.walker(), still, Navigation(), lambda random: shown, terrain=terrain, scene=shown
+    )
 
 
 def _put(physics: Physics, lean: float = 0.0, height: float | None = None) -> None:
@@ -141,10 +143,8 @@ def test_an_evaluation_of_a_walker_is_on_its_terrain(still):
     ahead = samples.scene([], target=(5.0, 0.0, 0.0), max_cycles=3)
     paths = []
     for terrain in (Terrain(), None):
-        result = evaluate(
-            samples.walker(), still, None, Navigation(), Stand(), [ahead],
-            shield=False, terrain=terrain,
-        )  # fmt: skip
+        robot = Robot(samples.walker(), still, terrain)
+        result = evaluate(robot, surrogate(), Navigation(), Stand(), [ahead], shield=False)
         [episode] = result.episodes
         assert episode.outcome == "timeout" and episode.cycles == 3
         paths.append(episode.path)

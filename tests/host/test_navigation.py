@@ -105,7 +105,6 @@ def test_success_ends_the_cycle_where_it_happens():
     environment.reset()
     steps = []
     environment.task.step_hook = lambda physics, shape: steps.append(physics.com())
-    step = None
     for _ in range(30):
         step = environment.step(0)
         if step.last():

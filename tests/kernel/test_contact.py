@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -88,6 +89,7 @@ def test_a_block_stops_where_friction_says_and_only_creeps_then(angle, friction)
 
 
 def replace_friction(dynamics: ReducedDynamics, friction: float) -> ReducedDynamics:
+    assert dynamics.terrain is not None
     terrain = replace(dynamics.terrain, friction=friction)
     return ReducedDynamics(dynamics.body, dynamics.timestep, terrain)
 
@@ -269,7 +271,8 @@ def mixed_terrain(rng: np.random.Generator, **law) -> Terrain:
 
 def touching_states(dynamics: ReducedDynamics, rng: np.random.Generator, count: int):
     """(x, u, x_next) of steps in contact, after falls from any attitude."""
-    found, r = [], dynamics.body.n_modes
+    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    r = dynamics.body.n_modes
     while len(found) < count:
         x = np.zeros(dynamics.nx)
         x[2], x[3:7] = 0.7, random_quaternion(rng)
@@ -426,7 +429,7 @@ def test_feet_are_where_their_vertices_are_and_move_as_their_jacobian_says(small
         @ shape_coordinates(small_walker, x[None, 7 : 7 + small_walker.n_modes])[0]
     )
     world = x[:3] + at @ matrix(x[3:7]).T
-    wanted = [world[foot].mean(0) for foot in feet.vertices]
+    wanted = np.array([world[foot].mean(0) for foot in feet.vertices])
     np.testing.assert_allclose(dynamics.feet_positions(x), wanted, atol=1e-12)
     x[3:7] *= 1.4
     wanted = central_differences(dynamics.feet_positions, x, 1e-6)
@@ -466,7 +469,7 @@ def test_a_body_in_contact_follows_the_full_fem(walker, speed, centre, shape, re
     body = request.getfixturevalue(walker)
     terrain = Terrain(slip_speed=0.05)
     # implicit Euler takes the bounce, which is a matter of the subspace: what is compared is contact
-    euler = {"integrator": "implicit-euler", "substeps": 1}
+    euler: dict[str, Any] = {"integrator": "implicit-euler", "substeps": 1}
     reduced = ReducedDynamics(body, H, terrain, **euler)
     full = FullFem(body, H, False, terrain, **euler)
     x0 = reduced.rest_state()

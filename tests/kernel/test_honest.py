@@ -12,6 +12,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -282,7 +283,8 @@ def rough(small_walker: Body) -> ReducedDynamics:
 
 def spoilt(dynamics: ReducedDynamics, name: str, index: int, value: float) -> Model:
     """Return the model with one number of one of its arrays replaced."""
-    arrays = dict(zip(("body", "par", "terrain", "feet"), dynamics.model.arrays, strict=True))
+    names = ("body", "par", "terrain", "feet")
+    arrays: dict[str, Any] = dict(zip(names, dynamics.model.arrays, strict=True))
     arrays[name] = arrays[name].copy()
     arrays[name][index] = value
     return Model(**arrays)

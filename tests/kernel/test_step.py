@@ -85,7 +85,8 @@ def total_energy(dynamics: ReducedDynamics, states: np.ndarray) -> tuple[np.ndar
     control = dynamics.body.material.control_stiffness
     parts = [dynamics.energy(x) for x in states]
     total = [e["kinetic"] + (1 + control) * e["elastic"] + e["potential"] for e in parts]
-    largest = np.abs([[e["kinetic"], e["elastic"], e["potential"]] for e in parts]).max()
+    single = np.array([[e["kinetic"], e["elastic"], e["potential"]] for e in parts])
+    largest = np.abs(single).max()
     return np.array(total), largest
 
 

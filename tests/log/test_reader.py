@@ -12,7 +12,8 @@ from mcap.opcode import Opcode
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.log.reader import read_log
-from tests.samples.logs import record_episode
+from defplan_mj.log.run_files import RunFiles
+from tests.samples.logs import record_episode, sample_body, sample_gait, sample_surrogate
 
 
 @pytest.fixture(scope="module")
@@ -141,12 +142,8 @@ def test_anothers_mcap_file_is_refused(tmp_path):
 
 
 def test_a_log_without_gait_says_so(tmp_path, whole):
-    from log_samples import sample_body, sample_gait, sample_surrogate
-
-    from defplan_mj.log.run_files import RunFiles
-
     body = sample_body()
-    files = RunFiles(body, sample_gait(body), sample_surrogate(body), {})
+    files = RunFiles(body, sample_gait(body), sample_surrogate(body))
     record_episode(tmp_path / "bare.mcap", files=files)
     with pytest.raises(DefplanError, match=r"holds no gait\.npz"):
         _ = read_log(tmp_path / "bare.mcap").gait

@@ -40,7 +40,7 @@ def messages(path):
     with open(path, "rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         return [
-            (channel.topic, schema.name, message.log_time, content)
+            (channel.topic, schema.name if schema else "", message.log_time, content)
             for schema, channel, message, content in reader.iter_decoded_messages(
                 log_time_order=False
             )
@@ -327,7 +327,9 @@ def test_an_unwritable_folder_is_one_sentence(tmp_path):
 def test_chunks_do_not_overlap_in_time_and_end_with_a_cycle(tmp_path):
     record_episode(tmp_path / "a.mcap", cycles=9)
     with open(tmp_path / "a.mcap", "rb") as stream:
-        chunks = make_reader(stream).get_summary().chunk_indexes
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    chunks = summary.chunk_indexes
     spans = [(c.message_start_time, c.message_end_time) for c in chunks]
     assert len(spans) > 3
     assert all(a[1] <= b[0] for a, b in zip(spans, spans[1:], strict=False))
@@ -338,7 +340,9 @@ def test_chunks_do_not_overlap_in_time_and_end_with_a_cycle(tmp_path):
 
 def test_a_log_holds_each_schema_once(logged):
     with open(logged[0], "rb") as stream:
-        names = [s.name for s in make_reader(stream).get_summary().schemas.values()]
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    names = [s.name for s in summary.schemas.values()]
     assert sorted(names) == sorted({schema for _, schema, *_ in logged[2]})
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,14 +23,14 @@ from defplan_mj.dynamics.terrain import (
 )
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.recorder import Recorder
-from defplan_mj.log.replay import replay_log, write_video
+from defplan_mj.log.replay import Difference, ReplayResult, replay_log, write_video
 from defplan_mj.log.run_files import RunFiles
+from tests.samples.bodies import pebble
 from tests.samples.logs import (
     TIMESTEP,
     record_swim,
     sample_scene,
     spatial_scene,
-    swimming_body,
     swimming_gait,
     tumbling_gait,
 )
@@ -38,12 +39,9 @@ AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
 RIDGE = (TerrainGeom("plane"), TerrainGeom("box", (0.5, 0.1, 0.2), (3.0, 0.0, 0.0)))
 
 
-@pytest.fixture(scope="module")
-def path(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("replay")
-    body = swimming_body(folder)
-    record_swim(folder / "swim.mcap", RunFiles.of(body, swimming_gait(body)))
-    return folder / "swim.mcap"
+@pytest.fixture
+def path(swim_log):
+    return swim_log
 
 
 def flip(values: np.ndarray, *place: int) -> np.ndarray:
@@ -51,6 +49,11 @@ def flip(values: np.ndarray, *place: int) -> np.ndarray:
     changed = values.copy()
     changed.view(np.uint64)[place] ^= 1
     return changed
+
+
+def difference_of(result: ReplayResult) -> Difference:
+    assert result.difference is not None
+    return result.difference
 
 
 def test_a_log_replays_to_the_bit_in_kernel_and_mujoco(path):
@@ -63,7 +66,7 @@ def test_a_log_replays_to_the_bit_in_kernel_and_mujoco(path):
 
 
 def test_a_spatial_log_replays_to_the_bit_laser_and_all(tmp_path):
-    body = swimming_body(tmp_path)
+    body = pebble()
     path = tmp_path / "tumble.mcap"
     record_swim(path, RunFiles.of(body, tumbling_gait(body)), cycles=12, scene=spatial_scene())
     log = read_log(path)
@@ -74,12 +77,12 @@ def test_a_spatial_log_replays_to_the_bit_laser_and_all(tmp_path):
     assert result.identical, result.sentence()
     assert result.simulators == ("kernel", "mujoco") and result.largest == 0
     result = replay_log(replace(log, laser=flip(log.laser, 3, 5)))
-    assert (result.difference.quantity, result.difference.label) == ("laser", "beam 5")
+    assert (difference_of(result).quantity, difference_of(result).label) == ("laser", "beam 5")
 
 
 def test_a_log_with_feedback_replays_its_target_shapes_to_the_bit(path, tmp_path):
     solver = registry.get_solver("ilqg", "feedback")
-    body = swimming_body(tmp_path)
+    body = pebble()
     record_swim(tmp_path / "fed.mcap", RunFiles.of(body, swimming_gait(body)), 3, feedback=solver)
     log = read_log(tmp_path / "fed.mcap")
     assert not (log.target_shapes == read_log(path).target_shapes[: len(log.target_shapes)]).all()
@@ -89,7 +92,7 @@ def test_a_log_with_feedback_replays_its_target_shapes_to_the_bit(path, tmp_path
 
 
 def test_a_log_of_a_body_on_the_ground_holds_the_ground_and_its_forces(tmp_path):
-    body, ground = swimming_body(tmp_path, AIR), Terrain(friction=0.55, geoms=RIDGE)
+    body, ground = pebble(AIR), Terrain(friction=0.55, geoms=RIDGE)
     dynamics = ReducedDynamics(body, TIMESTEP, ground)
     x = dynamics.rest_state()
     path = tmp_path / "ground.mcap"
@@ -116,7 +119,7 @@ def test_a_log_of_a_body_on_the_ground_holds_the_ground_and_its_forces(tmp_path)
 
 
 def test_an_episode_on_the_ground_replays_to_the_bit_in_kernel_and_mujoco(tmp_path):
-    body, ground = swimming_body(tmp_path, AIR, (0.5, 0.2, 0.12)), Terrain(friction=0.55)
+    body, ground = pebble(AIR, (0.5, 0.2, 0.12)), Terrain(friction=0.55)
     path = tmp_path / "walk.mcap"
     gait = swimming_gait(body)
     gait = replace(gait, alpha=0.1 * gait.alpha)  # so that it stays on its feet
@@ -141,6 +144,7 @@ def test_a_terrain_is_the_same_after_a_way_through_a_file():
     heights = np.random.default_rng(0).normal(size=(4, 5))
     ground = Terrain(RIDGE, Heightfield(heights, (2.0, 3.0), (0.1, 0.2, 0.3)), 0.7, thickness=0.02)
     again = terrain_of(json.loads(json.dumps(terrain_json(ground))))
+    assert again.heightfield is not None
     assert replace(again, heightfield=None) == replace(ground, heightfield=None)
     np.testing.assert_array_equal(again.heightfield.heights, heights)
     assert again.heightfield.half_size == (2.0, 3.0)
@@ -158,9 +162,9 @@ def test_a_single_flipped_bit_is_found_at_its_step(path):
     log = read_log(path)
     result = replay_log(replace(log, states=flip(log.states, 37, 8)))
     assert not result.identical
-    assert (result.difference.step, result.difference.label) == (37, "q2")
-    assert result.difference.quantity == "state"
-    assert result.difference.logged != result.difference.replayed
+    assert (difference_of(result).step, difference_of(result).label) == (37, "q2")
+    assert difference_of(result).quantity == "state"
+    assert difference_of(result).logged != difference_of(result).replayed
     assert "state q2 differs at step 37" in result.sentence()
     assert json.loads(json.dumps(result.to_json()))["difference"]["step"] == 37
 
@@ -171,7 +175,7 @@ def test_a_changed_control_is_found_one_step_later(path):
     shapes = log.target_shapes.copy()
     shapes[20, 1] += 1e-3
     result = replay_log(replace(log, target_shapes=shapes))
-    assert result.difference.step == 21 and result.largest > 0
+    assert difference_of(result).step == 21 and result.largest > 0
 
 
 @pytest.mark.parametrize(
@@ -180,9 +184,10 @@ def test_a_changed_control_is_found_one_step_later(path):
 )
 def test_a_changed_measurement_is_found(path, name, place, step, label):
     log = read_log(path)
-    result = replay_log(replace(log, **{name: flip(getattr(log, name), *place)}))
-    assert (result.difference.quantity, result.difference.step) == (name, step)
-    assert result.difference.label == label and result.difference.simulator == "mujoco"
+    changed: dict[str, Any] = {name: flip(getattr(log, name), *place)}
+    result = replay_log(replace(log, **changed))
+    assert (difference_of(result).quantity, difference_of(result).step) == (name, step)
+    assert difference_of(result).label == label and difference_of(result).simulator == "mujoco"
 
 
 def test_another_gait_than_the_logged_one_is_found(path):
@@ -190,7 +195,7 @@ def test_another_gait_than_the_logged_one_is_found(path):
     chosen = log.gait_index.copy()
     chosen[4] = (chosen[4] + 1) % 3
     result = replay_log(replace(log, gait_index=chosen))
-    assert result.difference.simulator == "mujoco" and result.difference.step == 45
+    assert difference_of(result).simulator == "mujoco" and difference_of(result).step == 45
 
 
 def test_a_cut_log_is_replayed_as_far_as_it_goes(path, tmp_path):

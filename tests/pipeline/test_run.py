@@ -9,6 +9,8 @@ import resource
 import signal
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,7 +124,7 @@ class Setting:
     spec: TaskSpec
     wave: Wave
     stubborn: Stubborn
-    logs: object
+    logs: Path
 
     def run(self, **options):
         """Do everything in the folder; return the results and how often each plugin worked."""
@@ -162,7 +164,7 @@ def setting(tmp_path, monkeypatch, body):
         rivals=("wave", "rival"),
     )
     wave, stubborn = Wave(), Stubborn()
-    plugins = {"wave": wave, "rival": Wave("rival"), "lame": Lame("lame")}
+    plugins: dict[str, Any] = {"wave": wave, "rival": Wave("rival"), "lame": Lame("lame")}
     plugins |= {"stubborn": stubborn, "other": stubborn}
     plugins |= {name: registry.get_solver(name, "feedback") for name in ("none", "ilqg")}
     monkeypatch.setattr(registry, "get_solver", lambda name, kind: plugins[name])
@@ -377,7 +379,8 @@ def test_a_stopped_run_of_other_options_is_asked_about_too(setting, monkeypatch,
 def test_a_terminal_is_asked_and_a_no_changes_nothing(setting, short_report):
     setting.run()
     folder = setting.logs / "fish-swim-seed0"
-    before, said = contents(folder), []
+    said: list[str] = []
+    before = contents(folder)
     with pytest.raises(DefplanError, match="was changed"):
         setting.run(pairs=14, consent=Consent(say=said.append, ask=lambda question: False))
     assert contents(folder) == before

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,9 +20,9 @@ from defplan_mj.planning.surrogate_env import SurrogateEnv
 from defplan_mj.task import Navigation
 from tests.samples import host as host_samples
 from tests.samples import planning as samples
+from tests.samples.paths import EXAMPLES
 
 MINE = "nearest-obstacle"
-EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 
 
 @pytest.fixture

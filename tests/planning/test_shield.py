@@ -11,7 +11,7 @@ from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.planning.frames import attitude_frames, turns
 from defplan_mj.planning.motion_tree import MotionTree
 from defplan_mj.planning.outcome import COLLISION
-from defplan_mj.planning.planner import carried_out
+from defplan_mj.planning.planner import Planner, carried_out
 from defplan_mj.planning.scenes import SceneBatch, novel_scenes
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate_env import run_on_surrogate
@@ -186,7 +186,7 @@ def test_the_shield_keeps_a_blind_planner_from_colliding(navigation, surrogate):
     straight = surrogate.task_names.index("forward")
     rates = {}
     for shielded in (False, True):
-        pilot = Stubborn(
+        pilot: Planner = Stubborn(
             *(float(i == straight) - 0.1 * i for i in range(len(surrogate.task_names)))
         )
         if shielded:

@@ -45,8 +45,8 @@ def test_the_laser_agrees_with_one_ray_at_a_time(navigation):
     radii = generator.uniform(-0.5, 1.5, (n, m)).clip(0)  # a quarter of them is not there
     away = random_directions(generator, n * m, d).reshape(n, m, d)
     centres = position[:, None] + (radii + generator.uniform(0.05, 12, (n, m)))[..., None] * away
-    arrays = (a.astype(np.float32) for a in (position, frames, centres, radii, directions))
-    measured = scan(*arrays, 10.0)
+    a, b, c, d, e = (a.astype(np.float32) for a in (position, frames, centres, radii, directions))
+    measured = scan(a, b, c, d, e, 10.0)
     expected = np.array(
         [
             [ray(position[i], frames[i] @ beam, centres[i], radii[i], 10.0) for beam in directions]

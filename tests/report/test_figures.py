@@ -43,6 +43,7 @@ def test_parts_above_each_other_are_covered():
     low = trimesh.creation.icosphere(subdivisions=2)
     high = low.copy().apply_translation([0.5, 0, 3.0])
     both = trimesh.util.concatenate([low, high])
+    assert isinstance(both, trimesh.Trimesh)
     loops = outlines(both.vertices, both.faces)
     assert winding(np.array([0.25, 0.013]), loops) == 2  # filled: not zero
     assert winding(np.array([1.3, 0.013]), loops) == 1
@@ -85,7 +86,7 @@ def test_views_of_an_episode_are_rotations_that_lead_to_the_right(space, target)
         np.testing.assert_allclose(seen.place(start), 0, atol=1e-12)
     way = np.linalg.norm(target[: 2 if space == "planar" else 3])
     for seen in views if space == "planar" else views[1:3]:
-        np.testing.assert_allclose(seen.place(goal), [way, 0], atol=1e-12)
+        np.testing.assert_allclose(seen.place(goal), np.array([way, 0.0]), atol=1e-12)
     if space == "spatial":
         np.testing.assert_allclose(views[3].place(goal), 0, atol=1e-12)  # straight ahead
         assert views[3].depth(goal) == pytest.approx(-way)

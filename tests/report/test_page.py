@@ -19,14 +19,13 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.report import write_report
 from defplan_mj.report.planning_sections import MANY
+from tests.samples.bodies import pebble
 from tests.samples.logs import (
     record_swim,
     sample_body,
-    sample_surrogate,
     spatial_parts,
     spatial_scene,
-    swimming_body,
-    swimming_gait,
+    swimming_files,
     tumbling_gait,
 )
 
@@ -76,17 +75,14 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
+def run(tmp_path_factory, swim_log):
     """A whole run's folder, of a small body."""
     folder = tmp_path_factory.mktemp("runs") / "pebble-swim-seed3"
     folder.mkdir()
-    body = swimming_body(tmp_path_factory.mktemp("mesh"))
-    gait, surrogate = swimming_gait(body), sample_surrogate(body)
-    surrogate = replace(surrogate, body_hash=body.hash)
-    body.save(folder / "body.npz")
-    gait.save(folder / "gait.npz")
-    surrogate.save(folder / "surrogate.npz")
-    record_swim(folder / "k2-00.mcap", RunFiles.of(body, gait, surrogate))
+    parts = swimming_files(pebble())
+    for name in ("body", "gait", "surrogate"):
+        getattr(parts, name).save(folder / f"{name}.npz")
+    shutil.copy(swim_log, folder / "k2-00.mcap")
     curves = {
         "transitions": np.arange(5) * 1e4,
         "k2_reward_min": np.linspace(-900, 100, 5),
@@ -157,7 +153,7 @@ def spatial_run(tmp_path_factory):
     """The folder of a run in space: five gaits, logs among spheres, a fall, moving obstacles."""
     folder = tmp_path_factory.mktemp("runs") / "pebble-tumble-seed0"
     folder.mkdir()
-    body = swimming_body(tmp_path_factory.mktemp("mesh"))
+    body = pebble()
     gait, surrogate = tumbling_gait(body), spatial_parts(sample_body())[1]
     surrogate = replace(surrogate, body_hash=body.hash)
     for name, part in (("body", body), ("gait", gait), ("surrogate", surrogate)):

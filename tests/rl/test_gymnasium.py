@@ -48,7 +48,8 @@ def test_many_robots_do_to_the_bit_what_each_does_in_mujoco(name):
         assert np.array_equal(observation, observations[1])
         assert reward == rewards[1]
         assert ends == [bool(end[1]) for end in all_ends]
-    one.close(), many.close()
+    one.close()
+    many.close()
 
 
 def test_a_seed_gives_the_same_episodes_whatever_the_threads(monkeypatch):
@@ -56,7 +57,9 @@ def test_a_seed_gives_the_same_episodes_whatever_the_threads(monkeypatch):
     for workers in (1, 2):
         env = gymnasium.make_vec("defplan/FishSwim-v0", num_envs=20, workers=workers)
         env.reset(seed=1)
-        actions = np.random.default_rng(1).uniform(-1, 1, (5, *env.action_space.shape))
+        shape = env.action_space.shape
+        assert shape is not None
+        actions = np.random.default_rng(1).uniform(-1, 1, (5, *shape))
         runs.append([env.step(each)[0] for each in actions])
         env.close()
     assert np.array_equal(runs[0], runs[1])
@@ -67,7 +70,8 @@ def test_an_episode_ends_with_its_time_and_begins_anew_with_the_next_step():
     env = gymnasium.make_vec("defplan/FishSwim-v0", num_envs=2, task_kwargs=kwargs)
     one = gymnasium.make("defplan/FishSwim-v0", task_kwargs=kwargs)
     env.reset(seed=0), one.reset(seed=0)
-    still, ended, alone = np.zeros(env.action_space.shape), [], []
+    still, ended = np.zeros((2, 5)), []
+    alone: list[bool] = []
     for _ in range(5):
         observations, rewards, terminated, truncated, _ = env.step(still)
         ended.append(truncated.tolist())
@@ -78,7 +82,8 @@ def test_an_episode_ends_with_its_time_and_begins_anew_with_the_next_step():
     assert alone == [False] * 3 + [True]
     assert (rewards == 0).all()
     assert np.array_equal(observations[0], one.reset()[0])
-    env.close(), one.close()
+    env.close()
+    one.close()
 
 
 @pytest.mark.parametrize(
@@ -100,7 +105,8 @@ def test_what_is_no_target_shape_is_refused_in_one_sentence(action, words):
     many.reset(seed=0)
     with pytest.raises(DefplanError):
         many.step(np.full((2, 5), 1.5))
-    env.close(), many.close()
+    env.close()
+    many.close()
 
 
 @pytest.mark.parametrize("action", [3, -1, 0.5, np.zeros(2), "left", None, True])

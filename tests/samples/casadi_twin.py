@@ -83,9 +83,9 @@ class CasadiTwin:
         self._substep = self._substep_function()
         r = self.r
         x, u = ca.MX.sym("x", dynamics.nx), ca.MX.sym("u", dynamics.nu)
-        nodes = [ca.MX.sym("before", 7 + r), ca.MX.sym("last", 7 + r)]
+        before, last = nodes = [ca.MX.sym("before", 7 + r), ca.MX.sym("last", 7 + r)]
         self._first = _with_jacobian(self._nodes_of(x), [x], self.h)
-        self._last = _with_jacobian([self._state_of(*nodes, u)], [*nodes, u], self.h)
+        self._last = _with_jacobian([self._state_of(before, last, u)], [*nodes, u], self.h)
         unknown, near = ca.MX.sym("Q", 6 + r), ca.MX.sym("near", 4)
         self._placed = ca.Function(
             "placed",
@@ -257,6 +257,7 @@ class CasadiTwin:
     def _contact(self, last, new, touching: np.ndarray):
         """Forces of the terrain at the later end of an interval, with its velocity."""
         terrain, law = self.dynamics.terrain, self.dynamics.model.arrays[2]
+        assert terrain is not None and law is not None
         stiffness, thickness = float(law[2]), float(law[3])
         p, p1 = self._points(new, touching), self._points(last, touching)
         columns = []

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 
 from defplan_mj.base.rotations import level_attitude
-from defplan_mj.body.build import build_body
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
@@ -16,37 +16,33 @@ from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.task import TaskSpec
-from defplan_tasks import fish as fish_domain
 from defplan_tasks import quadruped as quadruped_domain
 from defplan_tasks import tee as tee_domain
+from tests.samples import bodies
 
 
-@functools.cache
 def fish() -> Body:
-    """Return a coarse fish, made from the mesh file in a few seconds."""
-    return _coarse(fish_domain.SWIM, 250)
+    """Return a coarse fish."""
+    return bodies.small_fish()
 
 
-@functools.cache
 def quadruped() -> Body:
     """Return a coarse 4-legged body; on fewer vertices its legs would be lost."""
-    return _coarse(quadruped_domain.SWIM, 450)
+    return _coarse(quadruped_domain.SWIM)
 
 
-@functools.cache
 def walker() -> Body:
     """Return the coarse 4-legged body in the air."""
-    return _coarse(quadruped_domain.WALK, 450)
+    return _coarse(quadruped_domain.WALK)
 
 
-@functools.cache
 def tee() -> Body:
     """Return the coarse T-shaped body."""
-    return _coarse(tee_domain.WALK, 450)
+    return _coarse(tee_domain.WALK)
 
 
-def _coarse(spec: TaskSpec, vertices: int) -> Body:
-    return build_body(spec.mesh, dataclasses.replace(spec.body, vertices=vertices, drag_points=40))
+def _coarse(spec: TaskSpec) -> Body:
+    return bodies.built(spec.mesh, dataclasses.replace(spec.body, vertices=450, drag_points=40))
 
 
 @functools.cache
@@ -102,7 +98,7 @@ def _beats(body: Body, spec: TaskSpec, size: float) -> Gait:
 def scene(
     circles: list[tuple[float, float, float]],
     target: tuple[float, float, float] = (20.0, 0.0, 0.0),
-    velocities: list[tuple[float, float, float]] | None = None,
+    velocities: Sequence[tuple[float, ...]] | None = None,
     yaw: float = 0.0,
     **kwargs,
 ) -> Scene:
@@ -135,8 +131,8 @@ def place(
 
 
 def spheres(
-    balls: list[tuple[float, float, float, float]],
-    target: tuple[float, float, float] = (20.0, 0.0, 0.0),
+    balls: Sequence[tuple[float, float, float, float]] | np.ndarray,
+    target: tuple[float, float, float] | np.ndarray = (20.0, 0.0, 0.0),
     orientation=(1.0, 0.0, 0.0, 0.0),
     **kwargs,
 ) -> Scene:

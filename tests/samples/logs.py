@@ -197,6 +197,7 @@ def record_episode(
     if files is None:
         body = sample_body()
         files = RunFiles.of(body, sample_gait(body), sample_surrogate(body))
+    assert files.gait is not None and files.surrogate is not None
     rng = np.random.default_rng(7)
     table = files.gait.table()
     scene = scene or sample_scene()
@@ -247,24 +248,6 @@ def record_episode(
     return {name: np.array(value) for name, value in kept.items()}
 
 
-def swimming_body(
-    folder: Path, medium: Medium | None = None, radii: tuple[float, ...] = (0.5, 0.12, 0.2)
-) -> Body:
-    """Return a small flat ellipsoid that the kernel can simulate."""
-    import trimesh
-
-    from defplan_mj.body.build import build_body
-    from defplan_mj.task import BodyOptions
-
-    mesh = trimesh.creation.icosphere(subdivisions=3)
-    mesh.apply_scale(radii)
-    mesh.export(folder / "pebble.stl")
-    options = BodyOptions(
-        vertices=200, modes=3, basis=10, samples=10, drag_points=24, medium=medium or Medium()
-    )
-    return build_body(folder / "pebble.stl", options)
-
-
 def tumbling_gait(body: Body) -> Gait:
     """Return five tasks, as a spatial swimmer has them, that wave all modes each in its own way."""
     rng = np.random.default_rng(6)
@@ -294,6 +277,12 @@ def swimming_gait(body: Body) -> Gait:
     )
 
 
+def swimming_files(body: Body) -> RunFiles:
+    """Return the body with its gait and a surrogate."""
+    surrogate = replace(sample_surrogate(body), body_hash=body.hash)
+    return RunFiles.of(body, swimming_gait(body), surrogate)
+
+
 def record_swim(
     path: Path,
     files: RunFiles,
@@ -305,6 +294,7 @@ def record_swim(
     from defplan_mj.host.navigation import navigation_environment
     from defplan_mj.task import Navigation
 
+    assert files.gait is not None
     scene = scene or sample_scene(speed=0.1)
     navigation, gaits = Navigation(laser_range=8.0, space=scene.space), len(files.gait.alpha)
     plays, ground = None, files.terrain

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import trimesh
 
 from defplan_mj.body.model import Body, Material, Medium
 from defplan_mj.body.surface import Surface
 from defplan_mj.body.tetmesh import TetMesh
+from tests.samples.paths import ASSETS
 
-FISH = Path(__file__).parents[2] / "tasks" / "assets" / "fish.obj"
+FISH = ASSETS / "fish.obj"
 
 
 def bar(cells: tuple[int, int, int], size: tuple[float, float, float]) -> TetMesh:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.body.build import build_body
 from defplan_mj.body.model import Medium
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain
@@ -27,6 +27,7 @@ from defplan_solvers.cio.terms import Weights
 from defplan_solvers.gait import shooting
 from defplan_solvers.gait.shooting_walk import Walking, solvable
 from defplan_tasks.environments import ASSETS
+from tests.samples.bodies import built
 from tests.samples.toy_walker import MASS, STAND, toy_walker
 
 GRAVITY = 9.81
@@ -35,7 +36,7 @@ DIRECTIONS = ((0.15, 0, 0), (0, 0.15, 0))
 
 def toy_problem(tasks=DIRECTIONS, steps: int = 10, cycles: int = 2) -> GaitProblem:
     body = SimpleNamespace(n_modes=12, amplitude=np.ones(12), mass=MASS)
-    dynamics = SimpleNamespace(nu=12, nx=49, timestep=0.03, body=body)
+    dynamics: Any = SimpleNamespace(nu=12, nx=49, timestep=0.03, body=body)
     gait_tasks = [GaitTask(f"task{i}", move=move) for i, move in enumerate(tasks)]
     weights = Objective(drift=2.0, effort=0.05)
     return GaitProblem(dynamics, gait_tasks, steps, steps * cycles, elements=4, weights=weights)
@@ -57,8 +58,9 @@ def displaced(
     rng, local = np.random.default_rng(seed), 3 * optimised.walker.n_feet
     local += 0 if optimised.joint else optimised.walker.nu
     free = optimised.alone[0].n_w - optimised.alone[0].n_phases
-    shapes = [(optimised.count, optimised.steps, n) for n in (optimised.nt, local)]
-    shapes.append((optimised.count, free if optimised.joint else 0))
+    steps = optimised.count, optimised.steps
+    ends = optimised.count, free if optimised.joint else 0
+    shapes: list[tuple[int, ...]] = [(*steps, optimised.nt), (*steps, local), ends]
     away, direction = (tuple(rng.normal(size=shape) for shape in shapes) for _ in range(2))
     return optimised.moved(walk, tuple(size * d for d in away)), direction
 
@@ -220,7 +222,7 @@ def walking() -> GaitProblem:
     options = BodyOptions(
         vertices=450, modes=6, basis=12, samples=8, drag_points=8, amplitude=1.0, medium=air
     )
-    body = build_body(ASSETS / "quadruped.obj", options)
+    body = built(ASSETS / "quadruped.obj", options)
     dynamics = ReducedDynamics(body, 0.03, Terrain(slip_speed=0.03))
     tasks = (GaitTask("forward", move=(0.3, 0, 0)), GaitTask("left", move=(0, 0.3, 0)))
     weights = Objective(turn=1.0, move=8.0, drift=8.0, tilt=3.0)
@@ -327,7 +329,7 @@ def test_a_walk_is_what_it_was_believed_to_be():
     options = BodyOptions(
         vertices=600, modes=10, basis=20, samples=12, drag_points=8, amplitude=1.0, medium=air
     )
-    body = build_body(ASSETS / "quadruped.obj", options)
+    body = built(ASSETS / "quadruped.obj", options)
     dynamics = ReducedDynamics(body, 0.03, Terrain(slip_speed=0.03))
     sides = ((0.4, 0, 0), (-0.4, 0, 0), (0, 0.4, 0), (0, -0.4, 0))
     tasks = [GaitTask(f"side{i}", move=move) for i, move in enumerate(sides)]

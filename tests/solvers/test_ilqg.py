@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,8 +22,6 @@ from defplan_solvers.feedback import ilqg
 from defplan_solvers.feedback.ilqg import BodyModel, Ilqg, Options
 from defplan_solvers.feedback.ilqg_step import Cost, Guide, box_minimum, cost_to_go, optimise
 from tests.samples.host import scene
-
-ASSETS = Path(__file__).parents[2] / "tasks" / "assets"
 
 
 @pytest.fixture(scope="module")

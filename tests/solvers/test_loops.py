@@ -119,6 +119,9 @@ class Remembering:
     def __init__(self, surrogate, loops):
         self.greedy, self.loops = GreedyPlanner(surrogate, NAVIGATION), loops
 
+    def reset(self):
+        pass
+
     def values(self, observation):
         values = self.greedy.values(observation)
         if self.loops is None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from defplan_mj.body.build import build_body
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
@@ -15,6 +14,7 @@ from defplan_solvers.gait.shooting import SOLVER, Shooting
 from defplan_tasks import quadruped
 from defplan_tasks.environments import ASSETS
 from defplan_tasks.fish import SWIM
+from tests.samples.bodies import built
 
 QUICK = Shooting(starts=2, start_iterations=15, rounds=((8, 1), (30, 1)))
 TASKS = SWIM.gait_tasks[:2]
@@ -76,7 +76,7 @@ def test_every_seed_gives_the_fish_good_gaits(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_every_seed_gives_the_swimmer_turns_on_the_spot_and_a_stroke_ahead(seed: int) -> None:
     task = quadruped.SWIM
-    body = build_body(task.mesh, task.body, name=task.name)
+    body = built(task.mesh, task.body, task.name)
     problem = GaitProblem.of(task, ReducedDynamics(body, task.timestep))
     measured = evaluate_switching(problem, SOLVER.solve(problem, seed), cycles=200)
     assert measured.falls == 0

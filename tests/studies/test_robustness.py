@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -26,8 +24,8 @@ from defplan_mj.studies.robustness import (
 )
 from defplan_mj.task import BodyOptions
 from defplan_solvers.feedback.open_loop import SOLVER as NONE
+from tests.samples.paths import ASSETS
 
-ASSETS = Path(__file__).parents[2] / "tasks" / "assets"
 PACKAGED = {
     "quadruped-walk": ("quadruped_walker_body", "quadruped_walker_gait"),
     "tee-walk": ("tee_body", "tee_gait"),
@@ -80,6 +78,7 @@ def test_a_body_stands_on_a_slope_of_the_said_angle(standing):
 
 def test_friction_and_mass_are_those_of_the_condition_and_the_ground_stays_as_stiff(standing):
     real = world(standing, Condition("both", friction=0.7, mass=1.2))
+    assert real.terrain is not None and standing.terrain is not None
     assert real.terrain.friction == pytest.approx(0.7 * standing.terrain.friction)
     assert real.body.mass == pytest.approx(1.2 * standing.body.mass)
     # packed: friction, stiffness and thickness, after their length
@@ -123,9 +122,10 @@ def test_pushes_and_switches_are_the_same_for_each_feedback(fish_dynamics, fish_
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PACKAGED)
 def test_a_walker_that_is_struck_falls_no_more_often_with_feedback_and_keeps_its_course(name):
-    spec, (body, gait) = registry.get_task(name), PACKAGED[name]
-    gait = Gait.load(ASSETS / f"{gait}.npz")
-    dynamics = ReducedDynamics(Body.load(ASSETS / f"{body}.npz"), gait.timestep, spec.terrain)
+    spec, (body_file, gait_file) = registry.get_task(name), PACKAGED[name]
+    gait = Gait.load(ASSETS / f"{gait_file}.npz")
+    body = Body.load(ASSETS / f"{body_file}.npz")
+    dynamics = ReducedDynamics(body, gait.timestep, spec.terrain)
     solvers = [NONE, registry.get_solver("ilqg", "feedback")]
     wanted = [CALM, Condition("pushed", push=0.3), Condition("struck", push=1.8)]
     rows = measure_robustness(dynamics, gait, solvers, wanted, cycles=100)

@@ -10,7 +10,6 @@ import pytest
 
 from defplan_mj import registry, suite
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.body.build import build_body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain, TerrainGeom
 from defplan_mj.gait.friction import Sliding
@@ -23,6 +22,7 @@ from defplan_solvers.gait.shooting import Shooting
 from defplan_solvers.gait.shooting_walk import Trace, Walking, hardest, random_tasks
 from defplan_tasks import environments, quadruped, tee, walking
 from tests.samples import host as samples
+from tests.samples.bodies import built
 
 SPECS = {"quadruped": quadruped.WALK, "tee": tee.WALK}
 BODIES = {"quadruped": samples.walker, "tee": samples.tee}
@@ -158,10 +158,11 @@ def test_slip_costs_what_friction_takes_of_the_walk(problem: GaitProblem) -> Non
     states = dynamics.rollout(dynamics.rest_state(), np.concatenate(shapes))
     work, points = 0.0, contact_points(dynamics.body)
     for before, after in itertools.pairwise(states):
-        found = dynamics.contacts(after)
-        moved = (dynamics.surface(after) - dynamics.surface(before))[points[found.which]]
-        work -= (found.forces * moved)[:, :2].sum()
+        touching = dynamics.contacts(after)
+        moved = (dynamics.surface(after) - dynamics.surface(before))[points[touching.which]]
+        work -= (touching.forces * moved)[:, :2].sum()
     weight = dynamics.body.mass * 9.81
+    assert dynamics.terrain is not None
     wanted = work / (dynamics.terrain.friction * weight) / 2  # m a cycle
     assert wanted > 1e-3
     found = [
@@ -285,7 +286,7 @@ STEADY_SEEDS = {"quadruped": (0, 1, 2, 3, 4), "tee": (0, 1, 3)}
 )
 def test_every_steady_seed_walks_four_ways_without_a_fall(domain: str, seed: int) -> None:
     spec = SPECS[domain]
-    body = build_body(spec.mesh, spec.body, name=spec.name)
+    body = built(spec.mesh, spec.body, spec.name)
     problem = GaitProblem.of(spec, ReducedDynamics(body, spec.timestep, spec.terrain))
     gait = registry.get_solver(spec.gait_solver, "gait").solve(problem, seed)
     for switching in range(3):
