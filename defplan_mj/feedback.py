@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from defplan_mj.base.space import PLANE
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 
@@ -42,7 +43,7 @@ class FeedbackSolver(Protocol):
     def summary(self) -> str:
         """One line."""
 
-    def prepare(self, dynamics: ReducedDynamics, gait: Gait, space: str = "planar") -> Feedback:
+    def prepare(self, dynamics: ReducedDynamics, gait: Gait, space: str = PLANE.name) -> Feedback:
         """Return the feedback for a gait of a body.
 
         Args:

@@ -81,10 +81,10 @@ def default_solver(kind: str) -> str:
     Raises:
         DefplanError: none has.
     """
-    found = [e for e in solvers(kind) if not e.error and getattr(e.value, "default", False)]
-    if not found:
+    defaults = [e for e in solvers(kind) if not e.error and getattr(e.value, "default", False)]
+    if not defaults:
         raise DefplanError(f"no {kind} solver is the default one: name one in the task")
-    return min(found, key=lambda entry: entry.package == "defplan").name
+    return min(defaults, key=lambda entry: entry.package == "defplan").name
 
 
 def get_domain(name: str) -> Any:

@@ -24,11 +24,11 @@ TaskName = tuple[str, str]
 
 def _get_tasks(tag: str | None) -> tuple[TaskName, ...]:
     """Return the (domain, task) pairs that carry `tag`, or all."""
-    found = []
+    pairs = []
     for name, domain in sorted(_DOMAINS.items()):
         tasks = domain.SUITE if tag is None else domain.SUITE.tagged(tag)
-        found += [(name, task) for task in tasks]
-    return tuple(found)
+        pairs += [(name, task) for task in tasks]
+    return tuple(pairs)
 
 
 def _get_tasks_by_domain(tasks: tuple[TaskName, ...]) -> dict[str, tuple[str, ...]]:

@@ -6,15 +6,19 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.base.space import SPACES, Space
+from defplan_mj.base.space import PLANE, SPACES, Space
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.dynamics.world import World
+
+if TYPE_CHECKING:
+    from defplan_mj.body.model import Body
+    from defplan_mj.dynamics.reduced import ReducedDynamics
 
 
 @dataclass(frozen=True)
@@ -98,8 +102,8 @@ class Navigation:
         distance: of the targets, m.
         goal_radius: m.
         max_cycles: gait cycles before an episode times out.
-        k2: number of training targets, evenly spread.
-        k2_obstacles, novel_obstacles: obstacles on the way.
+        k2: number of training targets (the paper's K2), evenly spread.
+        k2_obstacles, novel_obstacles: obstacles on the way, to a training target and in an unseen scene.
         beams: laser beams.
         laser_range: m.
         space: 'planar' (targets, obstacles and laser in the horizontal plane, in the yaw frame) or
@@ -115,7 +119,7 @@ class Navigation:
     novel_obstacles: int = 10
     beams: int = 64
     laser_range: float = 10.0
-    space: str = "planar"
+    space: str = PLANE.name
     sensor: str = ""
 
     def __post_init__(self) -> None:
@@ -156,7 +160,7 @@ class TaskSpec:
         navigation: the second stage.
         gait_solver, planner, feedback: default plugins, by name; '': the one that says of itself that
             it is the default of its kind (`registry.get_task` fills in its name).
-        rivals: gait solvers that the report compares with, if they are installed.
+        rivals: gait solvers to compare with in the report, if they are installed.
         shipped: files of a body and of gaits that are packaged for the task, or None.
         skin: makes the picture that the body wears, see `host.skin.add_skin`; None: a plain one.
         paper: the paper's figures for this example (Tables I to III), for the report.
@@ -191,6 +195,12 @@ class TaskSpec:
     def world(self) -> World:
         """What surrounds the robot."""
         return World(self.body.medium, self.terrain)
+
+    def dynamics(self, body: Body) -> ReducedDynamics:
+        """Return the reduced dynamics of `body` in this task's world, at its time step."""
+        from defplan_mj.dynamics.reduced import ReducedDynamics  # a task is read without the kernel
+
+        return ReducedDynamics(body, self.timestep, self.world.terrain, **self.stepping)
 
     def texture(self) -> np.ndarray | None:
         """Return the picture of the skin, or None."""

@@ -13,10 +13,12 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.space import Space
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.world import World
 from defplan_mj.gait.gait import Gait
-from defplan_mj.host.navigation import navigation_environment
+from defplan_mj.host.navigation import robot_environment
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.planning.robot import Robot
 from defplan_mj.planning.scenes import NovelScenes, Scene
 from defplan_mj.task import Navigation, TaskSpec
 
@@ -91,19 +93,17 @@ def navigate_environment(
     Args:
         body, gait: what moves, and how.
         time_limit: s.
-        scene: keep to this one; by default every episode draws a novel one.
+        scene: keep to this one; by default every episode draws an unseen one.
         navigation: by default that of `spec`.
         obstacles: on the way to a drawn target; by default navigation.novel_obstacles.
         obstacle_speed: of drawn obstacles, m/s.
     """
     there = navigation or spec.navigation
-    return navigation_environment(
-        body,
-        gait,
+    return robot_environment(
+        Robot(body, gait, World(body.medium, spec.terrain)),
         there,
         NovelScenes(there, obstacles, obstacle_speed),
         scene=scene,
-        terrain=spec.terrain,
         texture=spec.texture(),
         time_limit=time_limit,
         random=random,
@@ -111,7 +111,7 @@ def navigate_environment(
     )
 
 
-def shipped(body: str, gait: str) -> tuple[Path, Path]:
+def packaged_files(body: str, gait: str) -> tuple[Path, Path]:
     """Return the files of a packaged body and gait, as `TaskSpec.shipped` has them."""
     return ASSETS / f"{body}.npz", ASSETS / f"{gait}.npz"
 

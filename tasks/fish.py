@@ -46,7 +46,7 @@ SWIM = TaskSpec(
     planner="dql",
     feedback="none",
     rivals=("alternating",),  # the paper's scheme
-    shipped=environments.shipped("fish_body", "fish_gait"),
+    shipped=environments.packaged_files("fish_body", "fish_gait"),
     skin=skin_texture,
     # Tables I to III; hours are the paper's own, tasks in its order: left, right, forward.
     paper={

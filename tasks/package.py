@@ -13,7 +13,6 @@ from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.build import build_body
 from defplan_mj.body.model import Body
-from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.task import TaskSpec
@@ -36,9 +35,8 @@ def build_packaged(name: str) -> Body:
 
 def train_packaged(spec: TaskSpec, body: Body, seed: int = 0) -> Gait:
     """Return the gaits of a task by its own solver, for its packaged body."""
-    dynamics = ReducedDynamics(body, spec.timestep, spec.terrain, **spec.stepping)
     solver = registry.get_solver(spec.gait_solver, "gait")
-    return solver.solve(GaitProblem.of(spec, dynamics), seed)
+    return solver.solve(GaitProblem.of(spec, spec.dynamics(body)), seed)
 
 
 def write_bodies(folder: Path, tasks: set[str]) -> None:

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 from dm_control.utils import containers
 
+from defplan_mj.base.space import SPACE
 from defplan_mj.body.model import Medium
 from defplan_mj.task import BodyOptions, GaitTask, Navigation, TaskSpec, Weights
 from defplan_tasks import environments, swimming, walking
@@ -59,12 +60,12 @@ SWIM = TaskSpec(
     gait_steps=200,
     weights=Weights(turn=6.0, move=6.0, drift=6.0, roll=1.0, effort=0.15, style="pulse"),
     axis=(0.0, 0.0, 1.0),
-    navigation=Navigation(k2=30, beams=128, space="spatial"),
+    navigation=Navigation(k2=30, beams=128, space=SPACE.name),
     gait_solver="shooting",
     planner="dql",
     feedback="none",
     rivals=("alternating",),  # the paper's scheme
-    shipped=environments.shipped("quadruped_body", "quadruped_gait"),
+    shipped=environments.packaged_files("quadruped_body", "quadruped_gait"),
     skin=skin_texture,
     # Tables I to III; hours are the paper's own.
     paper={
@@ -90,7 +91,7 @@ WALK = walking.walk_spec(
     "a 4-legged body walks to targets among upright cylinders, without turning",
     mesh="quadruped.obj",
     vertices=1054,
-    shipped=environments.shipped("quadruped_walker_body", "quadruped_walker_gait"),
+    shipped=environments.packaged_files("quadruped_walker_body", "quadruped_walker_gait"),
     skin=skin_texture,
     gait_solver="cio-shooting",  # it trots: shooting alone finds other patterns, and skates more
     paper={

@@ -135,8 +135,8 @@ class Swim(ShapeTask):
 
     def get_observation(self, physics: Physics) -> collections.OrderedDict:
         """Return `observe` of the one robot."""
-        told = self.observe(*_of(physics))
-        return collections.OrderedDict((name, array[0]) for name, array in told.items())
+        arrays = self.observe(*_of(physics))
+        return collections.OrderedDict((name, array[0]) for name, array in arrays.items())
 
     def get_reward(self, physics: Physics) -> float:
         """Return `rewards` of the one robot."""

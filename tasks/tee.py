@@ -30,7 +30,7 @@ WALK = walking.walk_spec(
     "a T-shaped body walks on its bar to targets among upright cylinders",
     mesh="tee.obj",
     vertices=3121,
-    shipped=environments.shipped("tee_body", "tee_gait"),
+    shipped=environments.packaged_files("tee_body", "tee_gait"),
     skin=skin_texture,
     gait_solver="shooting",  # contact-invariant optimisation does not make it walk
     paper={

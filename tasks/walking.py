@@ -98,7 +98,7 @@ def walk_environment(
     environment_kwargs: dict | None = None,
 ) -> control.Environment:
     """Return the task `Walk`: the action is the target shape, in [-1, 1] of the body's amplitude."""
-    dynamics = ReducedDynamics(body, spec.timestep, spec.terrain, **spec.stepping)
+    dynamics = spec.dynamics(body)
     return environments.shape_environment(
         spec, Walk(dynamics, time_limit, random), environment_kwargs
     )

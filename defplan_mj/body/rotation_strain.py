@@ -39,7 +39,9 @@ def feature_map(mesh: TetMesh, modes: np.ndarray) -> np.ndarray:
 
 
 def exponential(w: np.ndarray) -> np.ndarray:
-    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3)."""
+    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad, by Rodrigues' formula."""
+    # not SciPy's, as `base.rotations`: it goes by quaternions and rounds otherwise, and every body's hash, which
+    # gaits and policies name, depends on the last digit
     square = (w * w).sum(-1)
     small = square < 1e-8
     safe = np.where(small, 1.0, square)

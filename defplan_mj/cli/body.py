@@ -64,8 +64,8 @@ def _what(arguments: argparse.Namespace) -> tuple[Path, BodyOptions, str]:
 
 def _given(arguments: argparse.Namespace, **names: str) -> dict[str, Any]:
     """Return those options that the user has given."""
-    found = {field: getattr(arguments, option) for field, option in names.items()}
-    return {field: value for field, value in found.items() if value is not None}
+    given = {field: getattr(arguments, option) for field, option in names.items()}
+    return {field: value for field, value in given.items() if value is not None}
 
 
 def _medium(name: str) -> Any:
@@ -125,11 +125,11 @@ def _text(data: dict[str, Any]) -> str:
 
 def _flat(data: dict[str, Any], prefix: str = "") -> list[tuple[str, str]]:
     """Return nested numbers as (name, text) pairs."""
-    found = []
+    pairs = []
     for key, value in data.items():
         name = f"{prefix}{key}".replace("_", " ")
         if isinstance(value, dict):
-            found += _flat(value, f"{name}, ")
+            pairs += _flat(value, f"{name}, ")
         else:
-            found.append((name, f"{value:.3g}" if isinstance(value, float) else str(value)))
-    return found
+            pairs.append((name, f"{value:.3g}" if isinstance(value, float) else str(value)))
+    return pairs

@@ -29,14 +29,21 @@ if TYPE_CHECKING:
 
 
 def list_installed(arguments: argparse.Namespace, console: Console) -> int:
-    """Name the tasks, solvers and suite domains that are installed, broken ones with the reason."""
-    from defplan_mj import registry
+    """Name the tasks, solvers, sensors and the suite that are installed, broken ones with the reason."""
+    from defplan_mj import registry, suite
+    from defplan_mj.rl.register import registered
 
     tasks, solvers, domains = registry.tasks(), registry.solvers(), registry.domains()
-    data = {
+    sensors, ids = registry.sensors(), registered()
+    data: dict[str, list[dict[str, Any]]] = {
         "tasks": [_entry(e, "description") for e in tasks],
         "solvers": [_entry(e, "summary", "kind") for e in solvers],
+        "sensors": [_entry(e) for e in sensors],
         "domains": [_entry(e) for e in domains],
+        "suite": [
+            {"domain": domain, "task": task, "gymnasium": ids.get((domain, task))}
+            for domain, task in suite.ALL_TASKS
+        ],
     }
     rows = [
         ["task", d["name"], d.get("description", "")] for d in data["tasks"] if "error" not in d
@@ -47,9 +54,12 @@ def list_installed(arguments: argparse.Namespace, console: Console) -> int:
             (d for d in data["solvers"] if "error" not in d), key=lambda d: (d["kind"], d["name"])
         )
     ]
-    rows += [["suite domain", d["name"], ""] for d in data["domains"] if "error" not in d]
+    rows += [["sensor", d["name"], ""] for d in data["sensors"] if "error" not in d]
+    rows += [
+        ["suite task", f"{d['domain']} {d['task']}", d["gymnasium"] or ""] for d in data["suite"]
+    ]
     console.result(data, _left(rows))
-    for entry in [*tasks, *solvers, *domains]:
+    for entry in [*tasks, *solvers, *sensors, *domains]:
         if entry.error:
             console.say(f"{entry.name} of package {entry.package} is broken: {entry.error}")
     return 0
@@ -82,7 +92,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
         "gait_solver": arguments.gait_solver,
         "planner": arguments.planner,
         "feedback": arguments.feedback,
-        "rivals": arguments.rival,
+        "rivals": arguments.compare_with,
         "solver_seeds": arguments.solver_seeds,
         "moving": arguments.moving,
         "pairs": arguments.pairs,
@@ -100,7 +110,7 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 
 def gait(arguments: argparse.Namespace, console: Console) -> int:
     """Optimise the task's gaits, and say what they do."""
-    data = _make(arguments, console, "gait", "gait.npz", gait_solver=arguments.solver)
+    data = _make(arguments, console, "gait", "gait.npz", gait_solver=arguments.gait_solver)
     console.result(data, f"{data['file']}, {data['seconds']:.1f} s\n{gait_text(data)}")
     return 0
 
@@ -190,23 +200,16 @@ def robustness(arguments: argparse.Namespace, console: Console) -> int:
 def check(arguments: argparse.Namespace, console: Console) -> int:
     """Play a task's gaits with finer steps and through the full FEM, and say what changes."""
     from defplan_mj import registry
-    from defplan_mj.studies.check import check_gaits, of_run, shipped
+    from defplan_mj.studies.check import check_gaits, packaged_robot, robot_of_run
 
     spec = registry.get_task(arguments.task)
-    body, gait = shipped(spec) if arguments.run is None else of_run(arguments.run)
+    folder = arguments.run
+    robot = packaged_robot(spec) if folder is None else robot_of_run(spec, folder)
     with console.progress() as progress:
-        data = check_gaits(
-            spec,
-            body,
-            gait,
-            arguments.full,
-            arguments.cycles,
-            arguments.seed,
-            progress,
-            arguments.bodies,
-        )
-        if arguments.run is not None:
-            _keep_check(arguments.run, {**data, "gait": gait.hash}, progress)
+        options = arguments.full, arguments.cycles, arguments.seed
+        data = check_gaits(spec, robot, *options, progress, arguments.bodies)
+        if folder is not None:
+            _keep_check(folder, {**data, "gait": robot.gait.hash}, progress)
     console.result(data, check_text(data))
     return 0
 

@@ -12,12 +12,28 @@ from typing import Any, NoReturn
 from defplan_mj import __version__
 from defplan_mj.cli import body, commands, logs
 
+RENAMED = {"--rival": "--compare-with", "--solver": "--gait-solver"}
+"""Names that options had in earlier versions."""
+
 
 class Parser(argparse.ArgumentParser):
     """An ArgumentParser whose errors are one sentence."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+        hint = "" if message.endswith("?") else f"; see {self.prog} --help"
+        self.exit(2, f"{self.prog}: {message}{hint}\n")
+
+    def refuse(self, rest: Sequence[str]) -> NoReturn:
+        """Stop with a sentence on the first of the arguments that nothing here takes."""
+        options = [word.partition("=")[0] for word in rest if word.startswith("-")]
+        if not options:
+            self.error(f"there is nothing to be done with {rest[0]}")
+        option, known = options[0], list(self._option_string_actions)
+        if RENAMED.get(option) in known:
+            self.error(f"the option {option} is called {RENAMED[option]}")
+        close = difflib.get_close_matches(option, known, n=1)
+        guess = f", did you mean {close[0]}?" if close else ""
+        self.error(f"there is no option {option}{guess}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Name the commands that exist and the one that was probably meant."""
@@ -32,7 +48,10 @@ class Parser(argparse.ArgumentParser):
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """Parse `argv`; the function that runs the command is in `command`."""
-    return build().parse_args(argv)
+    arguments, rest = build().parse_known_args(argv)
+    if rest:
+        arguments.parser.refuse(rest)
+    return arguments
 
 
 def build() -> argparse.ArgumentParser:
@@ -53,10 +72,16 @@ def build() -> argparse.ArgumentParser:
         name: str, run: Callable[..., int], help: str, draws: bool = False
     ) -> argparse.ArgumentParser:
         sub = subparsers.add_parser(name, help=help, description=help, allow_abbrev=False)
-        sub.set_defaults(command=run, draws=draws)
+        sub.set_defaults(command=run, draws=draws, parser=sub)
         return sub
 
-    _list(add("list", commands.list_installed, "name the tasks and solvers that are installed"))
+    _list(
+        add(
+            "list",
+            commands.list_installed,
+            "name the tasks, solvers, sensors and suite tasks that are installed",
+        )
+    )
     _run(
         add(
             "run",
@@ -90,13 +115,11 @@ def _list(sub: argparse.ArgumentParser) -> None:
 def _run(sub: argparse.ArgumentParser) -> None:
     _task(sub)
     _stage(sub)
-    sub.add_argument("--gait-solver", metavar="NAME", help="(default: the task's)")
+    sub.add_argument("--gait-solver", metavar="NAME", help="(default: the run's or task's)")
     sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
     _feedback(sub)
     sub.add_argument(
         "--compare-with",
-        "--rival",
-        dest="rival",
         metavar="NAME",
         action="append",
         help="gait solver that the report compares with; may be given more than once "
@@ -146,7 +169,7 @@ def _body(sub: argparse.ArgumentParser) -> None:
 
 def _gait(sub: argparse.ArgumentParser) -> None:
     _task(sub)
-    sub.add_argument("--solver", metavar="NAME", help="gait solver (default: the run's or task's)")
+    sub.add_argument("--gait-solver", metavar="NAME", help="(default: the run's or task's)")
     _stage(sub)
     _common(sub)
 
@@ -218,7 +241,7 @@ def _robustness(sub: argparse.ArgumentParser) -> None:
         "--feedback",
         metavar="NAME",
         action="append",
-        help="to be measured, as often as wanted (default: all that are installed)",
+        help="to be measured, as often as you like (default: all that are installed)",
     )
     sub.add_argument("--cycles", type=_count, default=200, metavar="N", help="(default: 200)")
     sub.add_argument(
@@ -331,11 +354,11 @@ def _poisson(text: str) -> float:
     return _number(text, float, lambda x: 0 <= x < 0.5, "a number from 0 to below 0.5")
 
 
-def _number(text: str, kind: type, fits: Callable[[Any], bool], wanted: str) -> Any:
+def _number(text: str, kind: type, fits: Callable[[Any], bool], description: str) -> Any:
     try:
         value = kind(text)
     except ValueError:
         value = None
     if value is None or not fits(value):
-        raise argparse.ArgumentTypeError(f"{text} is not {wanted}")
+        raise argparse.ArgumentTypeError(f"{text} is not {description}")
     return value

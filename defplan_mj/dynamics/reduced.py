@@ -12,6 +12,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.feet import Feet, pack_feet
 from defplan_mj.dynamics.terrain import Terrain, pack_terrain
+from defplan_mj.dynamics.world import World
 from defplan_mj.kernel.contact_points import contact_points
 from defplan_mj.kernel.library import Info, Model, kernel
 from defplan_mj.kernel.pack import StepOptions, pack_body, pack_options
@@ -96,6 +97,11 @@ class ReducedDynamics:
     def __reduce__(self) -> tuple:
         """Pickle as the body and the options; the kernel's arrays are laid out anew."""
         return _restore, (self.body, self.terrain, self.feet, self.options)
+
+    @property
+    def world(self) -> World:
+        """What surrounds the body. Raises DefplanError if nothing holds it on its terrain."""
+        return World(self.body.medium, self.terrain)
 
     @property
     def timestep(self) -> float:

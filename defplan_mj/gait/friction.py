@@ -9,7 +9,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.feet import MAX_FEET, Feet
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.dynamics.terrain import GROUND, contact_law
+from defplan_mj.dynamics.terrain import contact_law
 from defplan_mj.gait.footing import SOLE
 from defplan_mj.kernel.contact_points import contact_points
 
@@ -23,8 +23,8 @@ class Sliding:
         Raises:
             DefplanError: the ground is not level.
         """
-        body, terrain = dynamics.body, dynamics.terrain
-        if terrain is None or terrain.heightfield is not None or terrain.geoms != GROUND:
+        body, world = dynamics.body, dynamics.world
+        if not world.level:
             raise DefplanError("gaits that are not to slide are optimised on level ground")
         points = contact_points(body)
         height = body.vertices[body.surface[points], 2]
@@ -33,7 +33,7 @@ class Sliding:
         feet = [Feet(tuple(group[:, None])) for group in groups]
         self._places = [CasadiDynamics(dynamics.with_feet(some)).feet for some in feet]
         weight = body.mass * abs(body.medium.gravity)
-        law = contact_law(terrain, body)
+        law = contact_law(world.ground, body)
         before, after = ca.SX.sym("before", 3), ca.SX.sym("after", 3)
         load = law.stiffness * ca.fmax(0, law.thickness - after[2]) ** 2 / weight
         moved = ca.sumsqr((after - before)[:2])

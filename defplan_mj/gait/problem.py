@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.space import PLANE, SPACES, Space
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait import costs, export
@@ -38,8 +39,8 @@ class GaitProblem:
         steps_per_cycle: steps in a cycle.
         elements: D.
         cycles: cycles in a trajectory (N_1 over the steps of a cycle).
-        space: 'planar' (cycles are judged in the yaw frame at their start, the body is to stay
-            upright) or 'spatial' (in the body frame at their start).
+        space: by name, see `base.space`. In the plane cycles are judged in the yaw frame at their start, and
+            the body is to stay upright; in space in the body frame at their start.
         weights: of E_obj.
         axis: (3,) the body's own axis, which turns in space are to tilt.
     """
@@ -52,7 +53,7 @@ class GaitProblem:
         gait_steps: int = 200,
         elements: int = 5,
         *,
-        space: str = "planar",
+        space: str = PLANE.name,
         weights: Weights = DEFAULT_WEIGHTS,
         axis: Sequence[float] | np.ndarray = (1.0, 0.0, 0.0),
     ):
@@ -77,6 +78,11 @@ class GaitProblem:
             weights=spec.weights,
             axis=spec.axis,
         )
+
+    @property
+    def place(self) -> Space:
+        """The space itself."""
+        return SPACES[self.space]
 
     @property
     def n_tasks(self) -> int:
@@ -141,7 +147,7 @@ class GaitProblem:
         A walker's is smaller, so that it stays on its feet, and its elements follow each other evenly.
         """
         d, r, k = self.elements, self.dynamics.nu, self.n_tasks
-        if self.dynamics.terrain is not None:
+        if self.dynamics.world.walks:
             mu = np.repeat(2 * np.pi * np.arange(d)[:, None] / d, r, 1)
             return self.join(mu, 0.05 * rng.normal(size=(k, d, r)), np.ones((k, d, r)))
         share = np.ones(r) if self.weights.style == "any" else 0.05 + 0.95 * self.style
@@ -188,7 +194,7 @@ class GaitProblem:
         n, nx = self.steps_per_cycle, self.dynamics.nx
         start, x, goal = ca.SX.sym("x_start", nx), ca.SX.sym("x", nx, n), ca.SX.sym("goal", 7)
         asked = goal[:3], goal[3:6], goal[6]
-        if self.space == "planar":
+        if self.place.level:
             cost = costs.planar(self.weights, start, x, *asked)
         else:
             cost = costs.spatial(self.weights, self.axis, start, x, *asked)
@@ -206,7 +212,7 @@ class GaitProblem:
         starts = ca.horzcat(x0, x[:, n - 1 : -1 : n])
         costs = self.cycle_cost.map(cycles)(starts, x, self.goals[:, list(sequence)])
         cost = ca.sum2(costs[settle:]) / (cycles - settle)
-        if self.weights.slip and self.dynamics.terrain is not None:
+        if self.weights.slip and self.dynamics.world.walks:
             cost += self.weights.slip * self._sliding.path(ca.horzcat(x0, x)) / cycles
         return ca.Function("trajectory_cost", [x0, x], [cost])
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from defplan_mj.base import rotations
+from defplan_mj.base.space import Space
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.world import MAX_TILT, tilt
 from defplan_mj.gait.footing import footing
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.task import GaitTask
-
-MAX_TILT = np.radians(30.0)
-MIN_HEIGHT = 0.6  # of a walker's centre of mass, in units of its height at rest
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,7 @@ class Switching:
 
     Attributes:
         tasks: the K tasks and what they want.
-        space: 'planar' or 'spatial'.
+        place: the plane or space, which says how cycles are judged.
         length: of the body, m.
         task: (cycles,) task of each cycle.
         move: (cycles, 3) displacement in the frame at the cycle's start (planar: ahead, left, up), m.
@@ -36,7 +35,7 @@ class Switching:
     """
 
     tasks: tuple[GaitTask, ...]
-    space: str
+    place: Space
     length: float
     task: np.ndarray
     move: np.ndarray
@@ -62,12 +61,12 @@ class Switching:
         """(cycles,) length of the displacement across it, m; in the plane, of the horizontal part."""
         directions = np.array([task.direction for task in self.tasks])[self.task]
         across = self.move - self.advance[:, None] * directions
-        return np.linalg.norm(across[:, : 2 if self.space == "planar" else 3], axis=1)
+        return np.linalg.norm(across[:, : self.place.dimension], axis=1)
 
     @property
     def angle(self) -> np.ndarray:
         """(cycles,) rotation about the up axis in the plane, in space about the task's own, rad."""
-        if self.space == "planar":
+        if self.place.level:
             return self.turn[:, 2]
         axes = np.array([task.turn_axis for task in self.tasks])
         return (self.turn * axes[self.task]).sum(1)
@@ -78,11 +77,11 @@ class Switching:
         return np.sqrt(np.maximum((self.turn**2).sum(1) - self.angle**2, 0.0))
 
     @property
-    def lost(self) -> np.ndarray:
-        """(cycles,) cycles that go, or turn, the wrong way."""
+    def wrong_way(self) -> np.ndarray:
+        """(cycles,) which of the counted cycles go, or turn, the wrong way."""
         goes = np.array([task.advance > 0 for task in self.tasks])[self.task]
         sign = [np.sign(task.turn[2]) for task in self.tasks]
-        if self.space != "planar":
+        if not self.place.level:
             sign = [float(task.angle > 0) for task in self.tasks]
         turned = self.angle * np.array(sign)[self.task]
         turns = np.array(sign)[self.task] != 0
@@ -91,7 +90,7 @@ class Switching:
     @property
     def falls(self) -> int:
         """Cycles that tilt past 30 degrees or come down, or that go or turn the wrong way."""
-        return int(((self.tilt > MAX_TILT) | self.down | self.lost).sum())
+        return int(((self.tilt > MAX_TILT) | self.down | self.wrong_way).sum())
 
     def rows(self) -> list[dict]:
         """Return a row a task: its name, and of its cycles the means and standard deviations.
@@ -101,7 +100,7 @@ class Switching:
         about the wanted axis (in the plane: up); 'stray_rad': the rest of the rotation. And the
         means 'advance_lengths' and 'distance_lengths' in body lengths. NaN without a cycle.
         """
-        flat = self.move[:, :2] if self.space == "planar" else self.move
+        flat = self.move[:, : self.place.dimension]
         columns = {
             "advance_m": self.advance,
             "drift_m": self.drift,
@@ -141,12 +140,6 @@ def heading(x: np.ndarray) -> np.ndarray:
     return rotations.quaternion_heading(np.asarray(x)[..., 3:7])
 
 
-def tilt(x: np.ndarray) -> np.ndarray:
-    """Return the angle (...,) between the body's z axis and the vertical, rad."""
-    a, b = np.asarray(x)[..., 4], np.asarray(x)[..., 5]
-    return np.arccos(np.clip(1 - 2 * (a * a + b * b), -1, 1))
-
-
 def wrap(angle: np.ndarray) -> np.ndarray:
     """Return angles in [-pi, pi), rad."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
@@ -169,7 +162,7 @@ def measure_cycles(problem: GaitProblem, gait: Gait, task: np.ndarray) -> Switch
     x, down = roll_cycles(dynamics, gait.table()[task])
     start, end = x[:, 0], x[:, -1]
     turn, tilts = np.zeros((len(task), 3)), np.zeros(len(task))
-    if problem.space == "planar":
+    if problem.place.level:
         yaw = heading(start)
         frame = rotations.upright(yaw)
         turn[:, 2] = wrap(heading(end) - yaw)
@@ -179,14 +172,14 @@ def measure_cycles(problem: GaitProblem, gait: Gait, task: np.ndarray) -> Switch
         turn = (frame.inv() * rotations.rotation(end[:, 3:7])).as_rotvec()
     return Switching(
         tasks=problem.tasks,
-        space=problem.space,
+        place=problem.place,
         length=dynamics.body.length,
         task=task,
         move=frame.inv().apply(end[:, :3] - start[:, :3]),
         turn=turn,
         tilt=tilts,
         down=down,
-        footing={} if dynamics.terrain is None else footing(dynamics, x[~down]),
+        footing=footing(dynamics, x[~down]) if dynamics.world.walks else {},
     )
 
 
@@ -199,16 +192,15 @@ def roll_cycles(dynamics: ReducedDynamics, shapes: np.ndarray) -> tuple[np.ndarr
     Raises:
         DefplanError: a step of a swimmer did not converge.
     """
-    rest = dynamics.rest_state()
+    rest, world = dynamics.rest_state(), dynamics.world
     x, down = np.empty((len(shapes), shapes.shape[1] + 1, len(rest))), np.zeros(len(shapes), bool)
     now = rest
     for i, cycle in enumerate(shapes):
-        if dynamics.terrain is None:
-            x[i] = dynamics.rollout(now, cycle)
-        else:
+        if world.walks:
             x[i], failed = dynamics.rollout_count(now, cycle)
-            lowest = x[i, :, 2].min() / rest[2]
-            down[i] = failed > 0 or tilt(x[i]).max() > MAX_TILT or lowest < MIN_HEIGHT
+            down[i] = failed > 0 or world.fallen(x[i], rest[2]).any()
+        else:
+            x[i] = dynamics.rollout(now, cycle)
         now = rest if down[i] else x[i, -1]
     return x, down
 

@@ -334,7 +334,7 @@ def robot_environment(
         robot.gait,
         navigation,
         sampler,
-        terrain=robot.world,
+        terrain=robot.world.terrain,
         feedback=robot.prepared(navigation.space),
         **options,
     )

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.base.space import SPACES
+from defplan_mj.base.space import PLANE, SPACES
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain, pack_terrain
 from defplan_mj.host import skin
@@ -49,7 +49,7 @@ def build_spec(
     max_obstacles: int = 0,
     beams: int = 64,
     laser_range: float = 10.0,
-    space: str = "planar",
+    space: str = PLANE.name,
     sensor: str = "",
     terrain: Terrain | None = None,
     texture: np.ndarray | None = None,

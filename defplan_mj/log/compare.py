@@ -19,14 +19,14 @@ SETTLING = 3
 """Cycles in which a body that starts at rest gets up to speed; the surrogate knows full speed only."""
 
 
-def _heading_error(true: np.ndarray, told: np.ndarray) -> np.ndarray:
+def _heading_error(true: np.ndarray, predicted: np.ndarray) -> np.ndarray:
     """Return true minus predicted heading (m,) of rotations (m, 3, 3), in (-pi, pi], rad."""
-    return np.pi - (np.pi - (rotations.heading(true) - rotations.heading(told))) % (2 * np.pi)
+    return np.pi - (np.pi - (rotations.heading(true) - rotations.heading(predicted))) % (2 * np.pi)
 
 
-def _rotation_error(true: np.ndarray, told: np.ndarray) -> np.ndarray:
+def _rotation_error(true: np.ndarray, predicted: np.ndarray) -> np.ndarray:
     """Return the angles (m,) between true and predicted rotations (m, 3, 3), rad."""
-    return rotations.angle(np.swapaxes(told, 1, 2) @ true)
+    return rotations.angle(np.swapaxes(predicted, 1, 2) @ true)
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class LoggedEpisode:
     collisions: int
     truth: np.ndarray
     chained: np.ndarray
-    space: str = "planar"
+    space: str = PLANE.name
 
     @property
     def drift(self) -> float:
@@ -122,7 +122,7 @@ class Comparison:
     predicted: np.ndarray
     truth: np.ndarray
     turning: np.ndarray
-    space: str = "planar"
+    space: str = PLANE.name
 
     @property
     def turning_name(self) -> str:
@@ -346,8 +346,8 @@ def _into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
 
 def _turning(truth: np.ndarray, predicted: np.ndarray, space: str) -> np.ndarray:
     """Return the errors of attitude (m,) of (m, 7) poses; see `Comparison.turning`."""
-    true, told = rotations.matrix(truth[:, 3:7]), rotations.matrix(predicted[:, 3:7])
-    return TURNING[space].error(true, told)
+    true, attitude = rotations.matrix(truth[:, 3:7]), rotations.matrix(predicted[:, 3:7])
+    return TURNING[space].error(true, attitude)
 
 
 def _figures(values: np.ndarray, sizes: np.ndarray) -> dict[str, float | None]:

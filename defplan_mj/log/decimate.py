@@ -6,7 +6,7 @@ import numpy as np
 
 
 def decimate(points: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pick vertices of a triangle surface so that about `wanted` faces are left (never more).
+    """Pick vertices of a triangle surface so that about `most` faces are left (never more).
 
     Vertices are clustered in a cubic grid whose cell is found by bisection; each cluster is
     represented by the vertex nearest to its mean, so the kept vertices are vertices of the body.
@@ -14,7 +14,7 @@ def decimate(points: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarr
     Args:
         points: (n, 3) rest positions.
         faces: (f, 3) indices into them.
-        wanted: largest number of faces to keep.
+        most: largest number of faces to keep.
 
     Returns:
         (m,) indices of the kept points, and (g, 3) faces as indices into those m.

@@ -171,8 +171,8 @@ class EpisodeLog:
         if topic not in self.numbers:
             there = ", ".join(sorted(self.numbers))
             raise DefplanError(f"log {self.path} has no numbers in {topic}: there are {there}")
-        found = self.numbers[topic]
-        return np.array(list(found), int), np.array(list(found.values()))
+        rows = self.numbers[topic]
+        return np.array(list(rows), int), np.array(list(rows.values()))
 
     @property
     def task_names(self) -> tuple[str, ...]:

@@ -119,7 +119,7 @@ class Recorder:
                 integrator=given["integrator"],
             )
             self._surface = dynamics.surface
-            if self._contacts is None and dynamics.terrain is not None:
+            if self._contacts is None and dynamics.world.walks:
                 self._contacts = lambda x: _pair(dynamics.contacts(x))
         self._scene = scene
         self._moving = bool(np.any(scene.velocities))

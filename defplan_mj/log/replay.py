@@ -249,12 +249,12 @@ def _reading_labels(log: EpisodeLog) -> list[str]:
 
 def _navigation(log: EpisodeLog) -> Navigation:
     """Return what a log says of the navigation problem, as far as the robot senses it."""
-    told: dict[str, Any] = log.configuration.get("navigation") or {}
+    navigation: dict[str, Any] = log.configuration.get("navigation") or {}
     return Navigation(
-        beams=int(told.get("beams") or log.laser.shape[1]),
-        laser_range=float(told.get("laser_range", Navigation().laser_range)),
+        beams=int(navigation.get("beams") or log.laser.shape[1]),
+        laser_range=float(navigation.get("laser_range", Navigation().laser_range)),
         space=log.space,
-        sensor=told.get("sensor", ""),
+        sensor=navigation.get("sensor", ""),
     )
 
 

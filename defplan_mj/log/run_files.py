@@ -13,9 +13,11 @@ import numpy as np
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
-from defplan_mj.dynamics.terrain import Terrain, terrain_json
+from defplan_mj.dynamics.terrain import Terrain
+from defplan_mj.dynamics.world import World
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.decimate import decimate
+from defplan_mj.planning.robot import Robot
 from defplan_mj.planning.surrogate import Surrogate
 
 
@@ -54,9 +56,17 @@ class RunFiles:
                     attachments[path.name] = path.read_bytes()
         if policy is not None:
             attachments[f"policy{Path(policy).suffix}"] = _read(policy)
-        if terrain is not None:
-            attachments["terrain.json"] = json.dumps(terrain_json(terrain)).encode()
+        world = World(body.medium, terrain)
+        if world.walks:
+            attachments["terrain.json"] = json.dumps(world.terrain_data).encode()
         return cls(body, gait, surrogate, terrain, attachments)
+
+    @classmethod
+    def of_robot(
+        cls, robot: Robot, surrogate: Surrogate | None = None, policy: str | Path | None = None
+    ) -> RunFiles:
+        """Encode the parts of a robot, see `of`."""
+        return cls.of(robot.body, robot.gait, surrogate, policy, robot.world.terrain)
 
     @cached_property
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:

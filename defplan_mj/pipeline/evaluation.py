@@ -1,4 +1,4 @@
-"""The stages that count how episodes end: K2 and novel scenes, moving obstacles."""
+"""The stages that count how episodes end: at training targets, in unseen scenes, among moving obstacles."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from defplan_mj.dynamics.terrain import terrain_json
 from defplan_mj.pipeline.provenance import plugin_data
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import write_json
@@ -27,33 +26,32 @@ _LOGS = ("k2-[0-9]*.mcap", "novel-[0-9]*.mcap")
 def _inputs(run: Run, **options: Any) -> dict[str, Any]:
     """Return what every evaluation depends on, besides files."""
     plan = run.plan
-    terrain = plan.spec.terrain
     chosen = {"planner": plan.planner.name, "feedback": plan.feedback.name}
     return {
         "options": {**chosen, "seed": plan.options.seed, **options},
         "plugins": {"planner": plugin_data(plan.planner), "feedback": plugin_data(plan.feedback)},
         "task": {
             "navigation": dataclasses.asdict(plan.spec.navigation),
-            "terrain": None if terrain is None else terrain_json(terrain),
+            "terrain": plan.spec.world.terrain_data,
         },
     }
 
 
 def _make_evaluation(run: Run) -> Iterable[Path]:
-    """Evaluate with and without the shield; log K2 episodes and some novel ones, with the shield."""
-    found: dict[str, dict[str, Any]] = {}
+    """Evaluate with and without the shield; with it, log all at training targets and some in unseen scenes."""
+    results: dict[str, dict[str, Any]] = {}
     logs: set[Path] = set()
     logged = {"k2": run.plan.spec.navigation.k2, "novel": run.plan.options.logged}
     for scenes, count in logged.items():
         log = Recorders(run.folder.path, scenes, count)
         with_shield = evaluate(run, scenes, True, log=log)
-        found[scenes] = {
+        results[scenes] = {
             "with_shield": with_shield,
             "without_shield": evaluate(run, scenes, False),
         }
         logs |= {log.path(i) for i in range(min(count, with_shield["episodes"]))}
     _remove_logs_but(run.folder.path, logs)
-    write_json(run.file(EVALUATION_FILE), found)
+    write_json(run.file(EVALUATION_FILE), results)
     return [run.file(EVALUATION_FILE), *logs]
 
 
@@ -90,7 +88,7 @@ EVALUATION = Stage(
 
 
 def _make_moving(run: Run) -> Iterable[Path]:
-    """Evaluate, in the shield, on K2 scenes whose obstacles move (the paper's Fig. 6)."""
+    """Evaluate, in the shield, at training targets whose obstacles move (the paper's Fig. 6)."""
     rows, count = [], run.plan.options.moving
     for speed in SPEEDS:
         result = evaluate(run, "k2", True, episodes=count, obstacle_speed=speed)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from defplan_mj.base import files, threads
-from defplan_mj.dynamics.terrain import terrain_json
 from defplan_mj.pipeline.provenance import file_hash, plugin_data
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import write_json
@@ -64,10 +63,7 @@ BODY = Stage("body", _body_inputs, _make_body, load=_load_body, sections=("body"
 
 def dynamics(run: Run) -> ReducedDynamics:
     """Return the reduced dynamics of the run's body at the task's time step."""
-    from defplan_mj.dynamics.reduced import ReducedDynamics
-
-    spec = run.plan.spec
-    return ReducedDynamics(run.result("body"), spec.timestep, spec.terrain, **spec.stepping)
+    return run.plan.spec.dynamics(run.result("body"))
 
 
 def gait_problem(run: Run) -> GaitProblem:
@@ -105,7 +101,7 @@ def _gait_task(run: Run) -> dict[str, Any]:
         "space": spec.navigation.space,
         "weights": dataclasses.asdict(spec.weights),
         "axis": spec.axis,
-        "terrain": None if spec.terrain is None else terrain_json(spec.terrain),
+        "terrain": spec.world.terrain_data,
     }
 
 

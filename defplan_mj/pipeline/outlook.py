@@ -106,8 +106,10 @@ def why_anew(was: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[str, bool]
     options = _changed(was, now, "options")
     if options:
         old, new = _group(was, "options"), _group(now, "options")
-        told = ", ".join(f"{n} is {_told(new.get(n))}, was {_told(old.get(n))}" for n in options)
-        return told, True
+        values = ", ".join(
+            f"{n} is {_value_text(new.get(n))}, was {_value_text(old.get(n))}" for n in options
+        )
+        return values, True
     reason = _other_reason(was, now)
     return reason, reason == _ANOTHER_VERSION
 
@@ -138,7 +140,7 @@ def _group(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     return group if isinstance(group, Mapping) else {}
 
 
-def _told(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if isinstance(value, Collection) and not isinstance(value, str):
         return " and ".join(map(str, value)) or "none"
     return "not set" if value is None else str(value)

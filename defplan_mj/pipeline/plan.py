@@ -25,9 +25,9 @@ class RunOptions:
         solver_seeds: with how many seeds they are compared.
         pairs: (before, after) pairs a gait that the surrogate is fitted to.
         training_seconds: wall time after which the planner's training is cut short (None: never).
-        episodes: novel scenes of the evaluation.
-        logged: how many of the novel episodes are logged, beside those of K2.
-        moving: K2 episodes among moving obstacles, at each speed (0: none).
+        episodes: unseen scenes of the evaluation.
+        logged: how many episodes in unseen scenes are logged, beside those at training targets.
+        moving: episodes at training targets among moving obstacles, at each speed (0: none).
     """
 
     seed: int = 0
@@ -83,16 +83,16 @@ class Plan:
             DefplanError: there is no solver of a name that was asked for.
         """
         chosen = self.options.rivals
-        found = []
+        solvers = []
         for name in self.spec.rivals if chosen is None else chosen:
             if name in ("none", self.gait_solver.name):
                 continue
             try:
-                found.append(registry.get_solver(name, "gait"))
+                solvers.append(registry.get_solver(name, "gait"))
             except DefplanError:
                 if chosen is not None:
                     raise  # nobody asked for the others by name
-        return found
+        return solvers
 
     @property
     def planner_name(self) -> str:

@@ -18,7 +18,7 @@ def run_results(run: Run) -> dict[str, Any]:
         "task": run.plan.spec.name,
         "seed": run.plan.options.seed,
         "seconds": {**seconds, "total": run.total_seconds()},
-        **{name: told for name, told in figures.items() if told is not None},
+        **{name: value for name, value in figures.items() if value is not None},
         "moving": figures.get("moving", []),
         "files": _files(run),
     }

@@ -37,13 +37,13 @@ def robustness(
     Raises:
         DefplanError: the task is not in the plane, or a feedback is not installed.
     """
-    if spec.navigation.space != "planar":
+    if not spec.navigation.place.level:
         raise DefplanError(
             f"{spec.name} moves in space: robustness is measured for tasks in the plane"
         )
     chosen = names or [entry.name for entry in registry.solvers("feedback") if not entry.error]
     solvers = [registry.get_solver(name, "feedback") for name in chosen]
-    where = [c for c in conditions(push) if spec.terrain is not None or _in_water(c)]
+    where = conditions(push, spec.world)
     return Stage(
         "robustness",
         partial(_inputs, solvers=solvers, where=where, cycles=cycles),
@@ -54,11 +54,6 @@ def robustness(
         sections=("robustness",),
         guarded=False,
     )
-
-
-def _in_water(condition: Condition) -> bool:
-    """Return whether a condition means something without a ground."""
-    return not condition.slope and condition.friction == 1.0
 
 
 def _inputs(

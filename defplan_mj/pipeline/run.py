@@ -59,13 +59,13 @@ class Run:
         self.plan.check()
         self.do(*(stage for stage in STAGES if stage.included(self)))
 
-    def do(self, *wanted: str | Stage) -> None:
+    def do(self, *stages: str | Stage) -> None:
         """Make stages, and those that they need, unless they are there.
 
         Raises:
             DefplanError: finished stages would be made anew, and that is not agreed to.
         """
-        chain = self._chain(wanted)
+        chain = self._chain(stages)
         self.consent.obtain(self._outlook(chain), str(self.folder.path), self.whole)
         for stage in chain:
             if stage.name not in self._done:
@@ -83,10 +83,10 @@ class Run:
         make = functools.partial(stage.make, self)
         self._done[stage.name] = self.folder.stage(self._key(stage), inputs, make, fresh)
 
-    def _chain(self, wanted: Iterable[str | Stage]) -> list[Stage]:
-        """Return the stages that are wanted, each after those that it needs, none twice."""
+    def _chain(self, stages: Iterable[str | Stage]) -> list[Stage]:
+        """Return the given stages, each after those that it needs, none twice."""
         chain: dict[str, Stage] = {}
-        for one in wanted:
+        for one in stages:
             stage = self._stages[one] if isinstance(one, str) else one
             self._stages.setdefault(stage.name, stage)
             earlier = self._chain([*stage.needs, *stage.parts(self)])
@@ -134,14 +134,14 @@ class Run:
 
     def _before(self, stage: Stage, record: Record, moved: set[str]) -> dict[str, Any]:
         """Return the files before a stage: as they are, or as they were if they are still to be made."""
-        told = record.made_from.get("before")
-        was = told if isinstance(told, dict) else {}
-        found = {}
+        before = record.made_from.get("before")
+        was = before if isinstance(before, dict) else {}
+        contents = {}
         for name in self._needs(stage):
             key = self._key(self._stages[name])
             there = name not in moved and key in self.folder.records
-            found[name] = self.folder.records[key].contents if there else was.get(name, {})
-        return found
+            contents[name] = self.folder.records[key].contents if there else was.get(name, {})
+        return contents
 
     def _followers(self, moved: set[str], named: set[str]) -> list[str]:
         """Return the finished stages that follow from those in `moved`."""
@@ -154,13 +154,13 @@ class Run:
 
     # ---- reading
 
-    def result(self, wanted: str | Stage) -> Any:
+    def result(self, stage: str | Stage) -> Any:
         """Return what a stage that is done has made.
 
         Raises:
             KeyError: it is not done.
         """
-        name = wanted if isinstance(wanted, str) else wanted.name
+        name = stage if isinstance(stage, str) else stage.name
         if name not in self._done:
             raise KeyError(f"stage {name} is not done yet")
         if name not in self._results:

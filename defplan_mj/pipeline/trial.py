@@ -26,7 +26,7 @@ class Recorders:
 
     Attributes:
         folder: where the logs go, as '<scenes>-<episode>.mcap'.
-        scenes: 'k2' or 'novel'.
+        scenes: 'k2' (training targets) or 'novel' (unseen scenes).
         count: how many episodes are logged.
         parts: what is attached to every log; filled in by `evaluate`.
     """
@@ -54,7 +54,7 @@ def robot(run: Run) -> Robot:
     from defplan_mj.planning.robot import Robot
 
     plan = run.plan
-    return Robot(run.result("body"), run.result("gait"), plan.spec.terrain, plan.feedback)
+    return Robot(run.result("body"), run.result("gait"), plan.spec.world, plan.feedback)
 
 
 def evaluate(
@@ -71,9 +71,9 @@ def evaluate(
 
     Args:
         run: its planner is finished.
-        scenes: 'k2' or 'novel'.
+        scenes: 'k2' (training targets) or 'novel' (unseen scenes).
         shield: wrap the planner in the safety shield.
-        episodes: how many (None: the task's number of K2 targets, the run's of novel ones).
+        episodes: how many (None: the task's number of training targets, the run's of unseen scenes).
         obstacles: on the way to each target (None: the task's).
         obstacle_speed: m/s.
         log: where the logs go; None: nowhere.
@@ -86,7 +86,7 @@ def evaluate(
 
     who, surrogate, navigation = robot(run), run.result("surrogate"), run.plan.spec.navigation
     if log is not None:
-        parts = RunFiles.of(who.body, who.gait, surrogate, policy_file(run), who.world)
+        parts = RunFiles.of_robot(who, surrogate, policy_file(run))
         log = dataclasses.replace(log, parts=parts)
     progress = run.progress_of("evaluation")
     message = f"{scenes}, {'with' if shield else 'without'} shield"
@@ -138,7 +138,7 @@ def steering(run: Run, shield: bool) -> Planner:
 
 
 def environment(run: Run, obstacles: int | None = None) -> Environment:
-    """Return the run's navigation environment; it draws novel scenes from the run's seed."""
+    """Return the run's navigation environment; it draws unseen scenes from the run's seed."""
     from defplan_mj.host.navigation import robot_environment
     from defplan_mj.planning.scenes import NovelScenes
 

@@ -44,7 +44,8 @@ def turns(vectors: np.ndarray) -> np.ndarray:
     x, y, z = np.moveaxis(vectors, -1, 0)
     zero = np.zeros_like(x)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
-    # Rodrigues; sinc is smooth at 0.
+    # Rodrigues; sinc is smooth at 0. Not SciPy's, as `base.rotations`: that rounds otherwise, and a training of
+    # the same seed, whose noise is turned by this, would no longer give the same policy to the bit.
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
     identity = np.eye(3, dtype=vectors.dtype)

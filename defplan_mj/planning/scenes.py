@@ -231,7 +231,7 @@ def k2_scenes(
     obstacles: int | None = None,
     obstacle_speed: float = 0.0,
 ) -> list[Scene]:
-    """Return the K2 scenes: spread targets, a few obstacles on the way to each, start upright.
+    """Return the scenes of the training targets (the paper's K2): few obstacles on the way, start upright.
 
     The targets are evenly spread around the circle; over the sphere they are a Poisson-disk sample of
     the seed (`frames.spread_directions`).
@@ -267,7 +267,7 @@ def novel_scenes(
     obstacles: int | None = None,
     obstacle_speed: float = 0.0,
 ) -> list[Scene]:
-    """Return n scenes with a random target direction, a random start attitude and many obstacles.
+    """Return n unseen scenes: a random target direction, a random start attitude and many obstacles.
 
     Raises:
         DefplanError: a count or speed is negative, or n is 0.
@@ -304,7 +304,7 @@ def training_scenes(navigation: Navigation, n: int, seed: int) -> SceneBatch:
 
 
 def validation_scenes(navigation: Navigation, n: int, seed: int) -> SceneBatch:
-    """Return n scenes like the novel ones, from a stream of their own: to choose a policy by."""
+    """Return n scenes like `novel_scenes`, from a stream of their own: to choose a policy by."""
     generator = np.random.default_rng([_VALIDATION_STREAM, seed])
     return scene_batch(
         navigation,
@@ -362,6 +362,6 @@ class NovelScenes:
     speed: float = 0.0
 
     def __call__(self, random: np.random.RandomState) -> Scene:
-        """Return a novel scene."""
+        """Return an unseen scene."""
         seed = int(random.randint(2**31))
         return novel_scenes(self.navigation, 1, seed, self.obstacles, self.speed)[0]

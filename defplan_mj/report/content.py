@@ -76,11 +76,19 @@ Block = Figure | Figures | Table | Text | Code | Missing
 
 @dataclass
 class Section:
-    """A heading with what stands below it."""
+    """A heading with what stands below it.
+
+    Attributes:
+        name: of its anchor.
+        title: the heading.
+        blocks: what stands below it, in this order.
+        template: of `report/templates`, that draws it.
+    """
 
     name: str
     title: str
     blocks: list[Block] = field(default_factory=list)
+    template: str = "section.html"
 
 
 @dataclass(frozen=True)

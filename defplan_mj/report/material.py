@@ -21,6 +21,7 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import PARTIAL_SUFFIX
 from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.report.content import Missing
 from defplan_mj.task import TaskSpec
 
 _T = TypeVar("_T")
@@ -114,13 +115,13 @@ class Material:
 
         'name', 'seed' and what `studies.gait_solvers.measure` says; or 'name', 'seed' and 'error'.
         """
-        found = self.documents.get("gait_solvers", {}).get("solvers")
-        return found if isinstance(found, list) else []
+        solvers = self.documents.get("gait_solvers", {}).get("solvers")
+        return solvers if isinstance(solvers, list) else []
 
     def is_outdated(self, document: dict[str, Any]) -> bool:
         """Return whether a document of measurements says that it is of other gaits than these."""
-        told = document.get("gait")
-        return self.gait is not None and told is not None and told != self.gait.hash
+        gait_hash = document.get("gait")
+        return self.gait is not None and gait_hash is not None and gait_hash != self.gait.hash
 
     @property
     def paper(self) -> dict[str, Any]:
@@ -168,6 +169,15 @@ def gather(folder: str | Path) -> Material:
         if log is not None:
             material.logs.append(log)
     return material
+
+
+def missing(material: Material, *names: str) -> Missing:
+    """Return the sentence on files that a section needs and does not have."""
+    for name in names:
+        if name in material.faults:
+            return Missing(f"{material.faults[name]}.")
+    what = " and ".join(names)
+    return Missing(f"Not made yet ({what}): defplan run {material.task} makes it.")
 
 
 def _training(path: Path) -> tuple[dict[str, np.ndarray], bool]:

@@ -9,31 +9,27 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from defplan_mj.base import files
 from defplan_mj.base.progress import Progress, no_progress
-from defplan_mj.report.check_section import check_section
-from defplan_mj.report.content import Code, Fact, Missing, Section, Table, Text, duration, percent
+from defplan_mj.report.content import Fact, Section, duration, percent
 from defplan_mj.report.material import Material, gather
-from defplan_mj.report.planning_sections import (
-    comparison_section,
+from defplan_mj.report.sections.body import body_section
+from defplan_mj.report.sections.check import check_section
+from defplan_mj.report.sections.comparison import comparison_section
+from defplan_mj.report.sections.gaits import gait_section
+from defplan_mj.report.sections.making import making_section
+from defplan_mj.report.sections.robustness import robustness_section
+from defplan_mj.report.sections.success import (
     episodes,
     evaluations,
     interval,
     rate,
     success_section,
-    training_section,
-    trajectory_section,
 )
-from defplan_mj.report.robustness_section import robustness_section
-from defplan_mj.report.sections import (
-    body_section,
-    gait_section,
-    surrogate_section,
-    time_section,
-)
+from defplan_mj.report.sections.surrogate import surrogate_section
+from defplan_mj.report.sections.time import time_section
+from defplan_mj.report.sections.training import training_section
+from defplan_mj.report.sections.trajectories import trajectory_section
 
 REPORT_FILE = "report.html"
-_OPTIONS = (
-    "gait_solver planner feedback solver_seeds pairs training_seconds episodes moving".split()
-)
 
 
 def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Path:
@@ -54,13 +50,13 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
         progress("report", i / len(SECTIONS))
         sections.append(make(material))
     environment = Environment(
-        loader=PackageLoader("defplan_mj.report", "."),
+        loader=PackageLoader("defplan_mj.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    page = environment.get_template("report.html").render(
+    page = environment.get_template("page.html").render(
         title=material.task,
         seed=material.config.get("seed", _seed_of(material.folder)),
         description=material.spec.description if material.spec else "",
@@ -91,26 +87,6 @@ def summary(material: Material) -> list[Fact]:
     return facts
 
 
-def making_section(material: Material) -> Section:
-    """Return what the run was asked for and what made it."""
-    section = Section("making", "How this was made")
-    run = material.documents.get("run", {})
-    if not run:
-        section.blocks.append(Missing("run.json is missing: nothing says how this was made."))
-        return section
-    section.blocks += [Text("This makes it again:"), Code(command(material))]
-    versions = run.get("versions", {})
-    section.blocks.append(Table(["version", ""], [[str(k), str(v)] for k, v in versions.items()]))
-    hashes = []
-    if material.body is not None:
-        hashes.append(["body", material.body.hash[:16]])
-    if material.gait is not None:
-        hashes.append(["the gaits' body", material.gait.body_hash[:16]])
-    if hashes:
-        section.blocks.append(Table(["content hash", ""], hashes))
-    return section
-
-
 SECTIONS: tuple[Callable[[Material], Section], ...] = (
     body_section,
     gait_section,
@@ -125,18 +101,6 @@ SECTIONS: tuple[Callable[[Material], Section], ...] = (
     making_section,
 )
 """The page from top to bottom. A new section is a function that returns one, and its line here."""
-
-
-def command(material: Material) -> str:
-    """Return the command line that a run was asked for with."""
-    config = material.config
-    words = ["defplan", "run", material.task, "--seed", str(config.get("seed", 0))]
-    for name in config.get("rivals") or ():
-        words += ["--compare-with", str(name)]
-    for option in _OPTIONS:
-        if config.get(option) is not None:
-            words += [f"--{option.replace('_', '-')}", str(config[option])]
-    return " ".join([*words, "--fresh"])
 
 
 def _seed_of(folder: Path) -> str:

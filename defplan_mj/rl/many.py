@@ -106,5 +106,5 @@ class KernelVectorEnv(gymnasium.vector.VectorEnv):
         self._steps[robots], self._over[robots] = 0, False
 
     def _observations(self) -> np.ndarray:
-        told = self._task.observe(self._batch.states, self._targets, self._place)
-        return np.concatenate(list(told.values()), axis=1)
+        arrays = self._task.observe(self._batch.states, self._targets, self._place)
+        return np.concatenate(list(arrays.values()), axis=1)

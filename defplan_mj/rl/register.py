@@ -12,6 +12,7 @@ from importlib.metadata import entry_points
 from types import ModuleType
 
 NAMESPACE = "defplan"
+ENTRY_POINT = "defplan_mj.rl.single:SuiteEnv"
 GROUP = "defplan_mj.gymnasium"
 """Entry points: functions without arguments that register what a package brings."""
 
@@ -54,6 +55,14 @@ def register_all() -> None:
             warnings.warn(f"{GROUP}, {point.name}: {error}", stacklevel=2)
 
 
+def registered() -> dict[tuple[str, str], str]:
+    """Return the ids that Gymnasium knows the suite's tasks by, by domain and task."""
+    from gymnasium.envs.registration import registry
+
+    ours = [spec for spec in registry.values() if spec.entry_point == ENTRY_POINT]
+    return {(spec.kwargs["domain"], spec.kwargs["task"]): spec.id for spec in ours}
+
+
 def register_task(domain: str, task: str, many: bool, version: int = 0) -> str:
     """Make a task of the suite known to Gymnasium; returns its id, `defplan/FishSwim-v0`.
 
@@ -69,7 +78,7 @@ def register_task(domain: str, task: str, many: bool, version: int = 0) -> str:
     if name not in registry:
         register(
             name,
-            entry_point="defplan_mj.rl.single:SuiteEnv",
+            entry_point=ENTRY_POINT,
             vector_entry_point="defplan_mj.rl.many:KernelVectorEnv" if many else None,
             kwargs={"domain": domain, "task": task},
         )

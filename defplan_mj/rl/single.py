@@ -53,9 +53,9 @@ class SuiteEnv(gymnasium.Env):
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Take an action: a target shape in [-1, 1] of the amplitude (r,), or the number of a gait."""
-        told = self._env.step(check_action(self.action_space, action))
-        over = told.last() and told.discount == 0
-        return flat(told.observation), float(told.reward), over, told.last() and not over, {}
+        step = self._env.step(check_action(self.action_space, action))
+        over = step.last() and step.discount == 0
+        return flat(step.observation), float(step.reward), over, step.last() and not over, {}
 
     def render(self) -> np.ndarray | None:
         """Return the picture (480, 640, 3) that the robot's camera sees."""

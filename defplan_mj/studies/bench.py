@@ -19,6 +19,7 @@ import numpy as np
 from defplan_mj import registry
 from defplan_mj.base import threads
 from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.base.space import PLANE, SPACE
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.full_fem import FullFem
 from defplan_mj.dynamics.reduced import ReducedDynamics
@@ -149,7 +150,7 @@ def bench(
     few = 10 if quick else 1
     name = spec.name.split("-")[0]
     gait = vigorous_gait(body, spec.timestep, spec.steps_per_cycle)
-    dynamics = ReducedDynamics(body, spec.timestep, spec.terrain, **spec.stepping)
+    dynamics = spec.dynamics(body)
     kernel = Kernel(dynamics)
 
     progress("bench: reduced step", 0.0)
@@ -172,9 +173,9 @@ def bench(
     progress("bench: clearance and laser", 0.2)
     scene = novel_scenes(spec.navigation, 1, 0, OBSTACLES)[0]
     clearance = measure(kernel.clearance(states[-1][: 7 + body.n_modes], scene), 5000 // few)
-    robot = Robot(body, gait, spec.terrain)
-    planar = _sensing(robot, spec.navigation, "planar", 5000 // few)
-    spatial = _sensing(robot, spec.navigation, "spatial", 5000 // few)
+    robot = Robot(body, gait, spec.world)
+    planar = _sensing(robot, spec.navigation, PLANE.name, 5000 // few)
+    spatial = _sensing(robot, spec.navigation, SPACE.name, 5000 // few)
 
     progress("bench: environment", 0.3)
     environment = _environment(robot, spec.navigation, scene)
@@ -249,7 +250,7 @@ def two_thread_speed_up(
 
 def _decisions(dynamics: ReducedDynamics, gait: Gait, space: str, cycles: int) -> dict[str, Timing]:
     """Time what each installed feedback takes to choose a target shape, along cycles from rest."""
-    found = {}
+    timings = {}
     for entry in registry.solvers("feedback"):
         if entry.error or entry.name == "none":
             continue
@@ -262,8 +263,8 @@ def _decisions(dynamics: ReducedDynamics, gait: Gait, space: str, cycles: int) -
             shape = feedback.shape(x)
             samples[i] = time.perf_counter() - start
             x = dynamics.step(x, shape)
-        found[entry.name] = Timing(samples)
-    return found
+        timings[entry.name] = Timing(samples)
+    return timings
 
 
 def _environment(robot: Robot, navigation: Navigation, scene: Scene) -> Any:

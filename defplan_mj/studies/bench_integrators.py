@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def integrators(body: Body, spec: TaskSpec) -> list[Integrator]:
     return [
         Integrator(
             f"{name}, {n} substep{'s' if n > 1 else ''}",
-            ReducedDynamics(body, spec.timestep, spec.terrain, substeps=n, integrator=name),
+            replace(spec, substeps=n, integrator=name).dynamics(body),
         )
         for name, n in (*CHOICES, REFERENCE)
     ]

@@ -14,10 +14,11 @@ from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.check import placed_vertices
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.full_fem import FemState, FullFem
-from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.world import MAX_TILT, tilt
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
-from defplan_mj.gait.switching import evaluate_switching, heading, tilt, wrap
+from defplan_mj.gait.switching import evaluate_switching, heading, wrap
+from defplan_mj.planning.robot import Robot
 from defplan_mj.studies.finer_bodies import finer_bodies, same_shapes
 from defplan_mj.task import GaitTask, TaskSpec
 
@@ -40,8 +41,8 @@ class Motion:
     turn: float
 
 
-def shipped(spec: TaskSpec) -> tuple[Body, Gait]:
-    """Return the body and gaits that are packaged for a task.
+def packaged_robot(spec: TaskSpec) -> Robot:
+    """Return the body and gaits that are packaged for a task, in its world.
 
     Raises:
         DefplanError: there are none.
@@ -52,12 +53,12 @@ def shipped(spec: TaskSpec) -> tuple[Body, Gait]:
             " (--run DIR)"
         )
     body, gait = spec.shipped
-    return Body.load(body), Gait.load(gait)
+    return Robot(Body.load(body), Gait.load(gait), spec.world)
 
 
-def of_run(folder: Path) -> tuple[Body, Gait]:
-    """Return the body and gaits of a run's folder."""
-    return Body.load(folder / "body.npz"), Gait.load(folder / "gait.npz")
+def robot_of_run(spec: TaskSpec, folder: Path) -> Robot:
+    """Return the body and gaits of a run's folder, in the task's world."""
+    return Robot(Body.load(folder / "body.npz"), Gait.load(folder / "gait.npz"), spec.world)
 
 
 def refined(gait: Gait, factor: int = FINER) -> Gait:
@@ -69,8 +70,7 @@ def refined(gait: Gait, factor: int = FINER) -> Gait:
 
 def check_gaits(
     spec: TaskSpec,
-    body: Body,
-    gait: Gait,
+    robot: Robot,
     full: bool = True,
     switched: int = 50,
     seed: int = 0,
@@ -96,16 +96,17 @@ def check_gaits(
     Raises:
         DefplanError: the gaits are not of this body, or a solve failed.
     """
+    body, gait = robot.body, robot.gait
     if gait.body_hash != body.hash:
         raise DefplanError(
             f"the gaits belong to another body ({gait.body_hash[:8]}) than {body.name}"
             f" ({body.hash[:8]}): solve them for this body"
         )
-    divided = refined(gait)
+    divided, more = refined(gait), replace(gait, substeps=FINER * gait.substeps)
     kinds = {
-        "reduced": (_dynamics(spec, body, gait), gait),
-        "refined": (_dynamics(spec, body, divided), divided),
-        "substeps": (_dynamics(spec, body, replace(gait, substeps=FINER * gait.substeps)), gait),
+        "reduced": (robot.dynamics, gait),
+        "refined": (replace(robot, gait=divided).dynamics, divided),
+        "substeps": (replace(robot, gait=more).dynamics, gait),
     }
     rows = []
     tasks = [_task(spec, name) for name in gait.task_names]
@@ -118,15 +119,15 @@ def check_gaits(
             states[kind] = dynamics.rollout(dynamics.rest_state(), shapes)
             _tell(row, kind, _judged(spec, task, states[kind], played))
         if full:
-            _compare_full(spec, body, gait, j, states["reduced"], row, progress)
+            _compare_full(spec, robot, j, states["reduced"], row, progress)
         rows.append(row)
     if finer:
-        _compare_finer(spec, body, gait, rows, progress)
+        _compare_finer(spec, robot, rows, progress)
     errors = body.source.get("frequencies", {}).get("error", [])[:3]
     problem = GaitProblem.of(spec, kinds["refined"][0])
     problem.steps_per_cycle = divided.steps_per_cycle
     progress("check: switching", 1.0)
-    falls = evaluate_switching(problem, divided, switched, seed).falls if spec.terrain else 0
+    falls = evaluate_switching(problem, divided, switched, seed).falls if robot.world.walks else 0
     return {
         "task": spec.name,
         "gaits": rows,
@@ -136,24 +137,21 @@ def check_gaits(
     }
 
 
-def _dynamics(spec: TaskSpec, body: Body, gait: Gait) -> ReducedDynamics:
-    return ReducedDynamics(body, gait.timestep, spec.terrain, **gait.stepping)
-
-
 def _judged(spec: TaskSpec, task: GaitTask, states: np.ndarray, gait: Gait) -> Motion:
     """Return the mean motion of the judged cycles of states (N + 1, nx) from rest."""
     return _motion(spec, task, states[SETTLE * gait.steps_per_cycle :: gait.steps_per_cycle])
 
 
 def _compare_finer(
-    spec: TaskSpec, body: Body, gait: Gait, rows: list[dict[str, Any]], progress: Progress
+    spec: TaskSpec, robot: Robot, rows: list[dict[str, Any]], progress: Progress
 ) -> None:
     """Play the gaits on bodies that are reduced less, and fill in what they do."""
+    gait = robot.gait
     for kind, _, fine in finer_bodies(spec, progress):
-        dynamics = _dynamics(spec, fine, gait)
+        dynamics = replace(robot, body=fine).dynamics
         for j, row in enumerate(rows):
             progress(f"check: {row['name']}, more {kind.replace('_', ' ')}", j / len(rows))
-            shapes = np.tile(same_shapes(body, fine, gait.table()[j]), (SETTLE + CYCLES, 1))
+            shapes = np.tile(same_shapes(robot.body, fine, gait.table()[j]), (SETTLE + CYCLES, 1))
             states = dynamics.rollout(dynamics.rest_state(), shapes)
             _tell(row, kind, _judged(spec, _task(spec, row["name"]), states, gait))
 
@@ -164,7 +162,7 @@ def _tell(row: dict[str, Any], kind: str, motion: Motion) -> None:
 
 def _motion(spec: TaskSpec, task: GaitTask, ends: np.ndarray) -> Motion:
     """Return the mean motion between states (cycles + 1, >= 7)."""
-    planar = spec.navigation.space == "planar"
+    planar = spec.navigation.place.level
     attitude = rotations.rotation(ends[:, 3:7])
     yaw = heading(ends)
     frame = rotations.upright(yaw[:-1]) if planar else attitude[:-1]
@@ -180,16 +178,16 @@ def _motion(spec: TaskSpec, task: GaitTask, ends: np.ndarray) -> Motion:
 
 def _compare_full(
     spec: TaskSpec,
-    body: Body,
-    gait: Gait,
+    robot: Robot,
     j: int,
     reduced: np.ndarray,
     row: dict[str, Any],
     progress: Progress,
 ) -> None:
     """Play gait j in the full FEM and fill in what differs."""
+    body, gait, world = robot.body, robot.gait, robot.world
     n, r = gait.steps_per_cycle, body.n_modes
-    fem = FullFem(body, gait.timestep, terrain=spec.terrain, integrator=gait.integrator)
+    fem = FullFem(body, gait.timestep, terrain=world.terrain, integrator=gait.integrator)
     start = reduced[0]
     turned = rotations.matrix(start[3:7])
     state = fem.at(start[7 : 7 + r], start[:3], turned, target=start[13 + 2 * r :])
@@ -213,8 +211,8 @@ def _compare_full(
     row["shape_error"] = float(np.sqrt(np.sum(errors) / np.sum(sizes)))
     rotation, _ = _fit(share, placed_vertices(body, reduced[-1]), state.now)
     row["attitude_rad"] = float(rotations.angle(rotation))
-    if spec.terrain is not None:
-        row["fell_full"] = bool(tilt(np.array(ends)).max() > np.radians(30.0))
+    if world.walks:
+        row["fell_full"] = bool(tilt(np.array(ends)).max() > MAX_TILT)
 
 
 def _task(spec: TaskSpec, name: str) -> GaitTask:

@@ -16,9 +16,10 @@ from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
 from defplan_mj.dynamics.terrain import TerrainGeom, contact_law
+from defplan_mj.dynamics.world import MAX_TILT, World, tilt
 from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
-from defplan_mj.gait.switching import MAX_TILT, MIN_HEIGHT, heading, tilt, wrap
+from defplan_mj.gait.switching import heading, wrap
 
 SETTLE = 2  # cycles from rest whose drift is not counted
 
@@ -41,13 +42,18 @@ class Condition:
     friction: float = 1.0
     mass: float = 1.0
 
+    @property
+    def of_ground(self) -> bool:
+        """Whether it means nothing without a ground."""
+        return self.slope != 0.0 or self.friction != 1.0
+
 
 CALM = Condition("calm")
 
 
-def conditions(push: float) -> tuple[Condition, ...]:
-    """Return what is measured, with pushes of `push` m/s."""
-    return (
+def conditions(push: float, world: World) -> tuple[Condition, ...]:
+    """Return what is measured in a world, with pushes of `push` m/s; in water there is no slope nor friction."""
+    every = (
         CALM,
         Condition(f"pushes, {push:g} m/s", push=push),
         Condition("slope, 5 degrees", slope=float(np.radians(5.0))),
@@ -55,6 +61,7 @@ def conditions(push: float) -> tuple[Condition, ...]:
         Condition("mass +20%", mass=1.2),
         Condition("mass -20%", mass=0.8),
     )
+    return tuple(condition for condition in every if world.walks or not condition.of_ground)
 
 
 @dataclass(frozen=True)
@@ -93,19 +100,19 @@ class PerturbedWalk:
         return float(np.sqrt(place.mean())), float(np.sqrt(turn.mean()))
 
 
-def world(dynamics: ReducedDynamics, condition: Condition) -> ReducedDynamics:
+def real_dynamics(dynamics: ReducedDynamics, condition: Condition) -> ReducedDynamics:
     """Return the dynamics as it really is in a condition."""
     terrain = dynamics.terrain
-    if terrain is not None:
+    if dynamics.world.walks:
+        ground = dynamics.world.ground
         half = 0.5 * condition.slope
         lean = (float(np.cos(half)), 0.0, -float(np.sin(half)), 0.0)
         terrain = replace(
-            terrain,
-            friction=condition.friction * terrain.friction,
-            stiffness=contact_law(
-                terrain, dynamics.body
-            ).stiffness,  # of the ground: it does not know the body's mass
-            geoms=(TerrainGeom("plane", quaternion=lean),) if condition.slope else terrain.geoms,
+            ground,
+            friction=condition.friction * ground.friction,
+            # of the ground: it does not know the body's mass
+            stiffness=contact_law(ground, dynamics.body).stiffness,
+            geoms=(TerrainGeom("plane", quaternion=lean),) if condition.slope else ground.geoms,
         )
     body = heavier(dynamics.body, condition.mass) if condition.mass != 1.0 else dynamics.body
     return ReducedDynamics(body, dynamics.timestep, terrain, **dynamics.stepping)
@@ -144,7 +151,7 @@ def perturbed_walk(
         dynamics: the model; on level ground or in water.
         seed: of the switching and the pushes; the same for every feedback.
     """
-    feedback, real = solver.prepare(dynamics, gait), world(dynamics, condition)
+    feedback, real = solver.prepare(dynamics, gait), real_dynamics(dynamics, condition)
     generator = np.random.default_rng(seed)
     n = gait.steps_per_cycle
     task = generator.integers(0, len(gait.task_names), cycles)
@@ -153,10 +160,9 @@ def perturbed_walk(
         generator.uniform(0, 2 * np.pi, cycles),
     )
     velocity = slice(7 + dynamics.body.n_modes, 9 + dynamics.body.n_modes)
-    rest = dynamics.rest_state()
-    half = 0.5 * condition.slope if dynamics.terrain is not None else 0.0
+    rest, world = dynamics.rest_state(), dynamics.world
+    half = 0.5 * condition.slope if world.walks else 0.0
     ground = Frame(np.zeros(3), np.array([np.cos(half), 0.0, -np.sin(half), 0.0]))
-    lowest = -np.inf if dynamics.terrain is None else MIN_HEIGHT * rest[2]
     x, since, busy, steps = rest, 0, 0.0, 0
     fell, counted, motion = np.zeros(cycles, bool), np.zeros(cycles, bool), np.zeros((cycles, 3))
     feedback.reset()
@@ -167,13 +173,13 @@ def perturbed_walk(
                 angle = push_angle[cycle]
                 x = x.copy()
                 x[velocity] += condition.push * np.array([np.cos(angle), np.sin(angle)])
-            told, began = ground.inside(x), time.thread_time()
+            state, began = ground.inside(x), time.thread_time()
             if i == 0:
-                feedback.begin(int(task[cycle]), told)
-            shape = feedback.shape(told)
+                feedback.begin(int(task[cycle]), state)
+            shape = feedback.shape(state)
             busy, steps = busy + time.thread_time() - began, steps + 1
             x, info = real.step_info(x, shape)
-            if info.failed or tilt(x) > MAX_TILT or ground.inside(x)[2] < lowest:
+            if info.failed or tilt(x) > MAX_TILT or world.sunk(ground.inside(x)[2], rest[2]):
                 fell[cycle] = True
                 break
         if fell[cycle]:
@@ -192,7 +198,7 @@ def measure_robustness(
     dynamics: ReducedDynamics,
     gait: Gait,
     solvers: Sequence[FeedbackSolver],
-    wanted: Sequence[Condition],
+    measured: Sequence[Condition],
     cycles: int = 200,
     seed: int = 0,
     progress: Progress = no_progress,
@@ -206,7 +212,7 @@ def measure_robustness(
     """
     from joblib import Parallel, delayed, parallel_config
 
-    jobs = [(condition, solver) for condition in wanted for solver in solvers]
+    jobs = [(condition, solver) for condition in measured for solver in solvers]
     workers = min(threads.available_cores(), 2)
     walks: list[PerturbedWalk] = []
     with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):

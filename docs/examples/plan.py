@@ -21,9 +21,9 @@ NAVIGATION = Navigation(distance=6.0, novel_obstacles=2, max_cycles=40)
 
 def main(name: str = "greedy", episodes: int = 3) -> EvaluationResult:
     """Let the fish swim to some targets among cylinders, and return how the episodes ended."""
-    shipped = get_task("fish-swim").shipped
-    assert shipped is not None
-    robot = Robot(Body.load(shipped[0]), Gait.load(shipped[1]))
+    spec = get_task("fish-swim")
+    assert spec.shipped is not None
+    robot = Robot(Body.load(spec.shipped[0]), Gait.load(spec.shipped[1]), spec.world)
     fit = fit_surrogate(robot.dynamics, robot.gait, pairs=60)
     planner = get_solver(name, "planner").train(fit, NAVIGATION, seed=0).planner
     scenes = novel_scenes(NAVIGATION, episodes, seed=0)

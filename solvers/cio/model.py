@@ -11,7 +11,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.external import CasadiDynamics
 from defplan_mj.dynamics.feet import Feet, lowest_feet
-from defplan_mj.dynamics.terrain import GROUND, contact_law
+from defplan_mj.dynamics.terrain import contact_law
 from defplan_mj.gait.problem import GaitProblem
 
 _WIDE = 0.3  # of the body's length: a foot that wide can tip, and is two
@@ -88,8 +88,8 @@ def walker_of(problem: GaitProblem) -> Walker:
         DefplanError: its body has no level ground to walk on.
     """
     dynamics = problem.dynamics
-    body, terrain = dynamics.body, dynamics.terrain
-    if terrain is None or terrain.heightfield is not None or terrain.geoms != GROUND:
+    body, world = dynamics.body, dynamics.world
+    if not world.level:
         raise DefplanError(
             "contact-invariant optimisation is for bodies that walk on level ground: take another"
             " gait solver, e.g. shooting"
@@ -103,7 +103,7 @@ def walker_of(problem: GaitProblem) -> Walker:
     nearest = ((contacts.points[:, None] - places) ** 2).sum(2).argmin(1)
     carried = np.bincount(nearest, contacts.forces[:, 2], len(feet)) / contacts.forces[:, 2].sum()
     points = np.maximum(np.bincount(nearest, minlength=len(feet)), 1)
-    stiffness = contact_law(terrain, body).stiffness
+    stiffness = contact_law(world.ground, body).stiffness
     return Walker(
         step=symbolic.step_forced,
         feet=symbolic.feet,
@@ -112,6 +112,6 @@ def walker_of(problem: GaitProblem) -> Walker:
         give=np.sqrt(weight / (stiffness * points)),
         timestep=dynamics.timestep,
         weight=weight,
-        friction=_GRIP * terrain.friction,
+        friction=_GRIP * world.ground.friction,
         amplitude=body.amplitude,
     )

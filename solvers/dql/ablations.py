@@ -49,7 +49,7 @@ def ablate(
     network, _, _ = train(surrogate, navigation, seed, recipe, float("inf"), no_progress)
     seconds = time.process_time() - started
     senses = Senses(surrogate, navigation)
-    # The novel scenes of `seed` itself are in the training curves: these are others.
+    # The unseen scenes of `seed` itself are in the training curves: these are others.
     novel = SceneBatch.of(novel_scenes(navigation, NOVEL, seed + 500))
     runs = [
         run_on_surrogate(

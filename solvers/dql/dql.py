@@ -91,7 +91,7 @@ class DqlSolver:
         Curves, one entry a checkpoint: `transitions`; `k2_reward_mean`, `_min`, `_max` (Eq. 2 over
         an episode) and `k2_success` on the K2 scenes of this seed; `novel_success`;
         `validation_score` and `validation_score_averaged` (success less time-outs on held-out scenes,
-        plus success on the K2 scenes), by which the network is chosen.
+        plus success at the training targets), by which the network is chosen.
 
         Args:
             seconds: limit of the wall time (None: none); reached, the result depends on the machine.

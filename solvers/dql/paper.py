@@ -30,7 +30,7 @@ class PaperConfiguration:
 
     Attributes:
         iterations: of DQL (section V: 10^4).
-        cycles: of each of the K2 trajectories of an iteration (Table II: N2 = 200 cycles).
+        cycles: of each trajectory to a training target in an iteration (Table II: N2 = 200 cycles).
         memory: iterations whose transitions are kept (Table II: 10).
         batch: section V.
         updates: of the network in an iteration (choice: each transition is drawn once on average).
@@ -40,7 +40,7 @@ class PaperConfiguration:
         pretraining, pretraining_batch, pretraining_rate: steps of the CNN's supervised training,
             robots that see a new scan in each, and the learning rate (choice).
         checkpoints: evaluations during training, for the curves.
-        novel: novel scenes of an evaluation.
+        novel: unseen scenes of an evaluation.
     """
 
     iterations: int = 10_000

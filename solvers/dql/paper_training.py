@@ -197,7 +197,7 @@ def learn(
     deadline: float,
     progress: Progress,
 ) -> tuple[dict[str, np.ndarray], int]:
-    """Q-learning on the K2 trajectories; return the curves and the iterations done."""
+    """Q-learning on the way to training targets (the paper's K2); return the curves and the iterations done."""
     generator = np.random.default_rng([seed, 2])
     scenes = SceneBatch.of(k2_scenes(navigation, seed))
     novel = SceneBatch.of(novel_scenes(navigation, configuration.novel, seed))
@@ -213,7 +213,7 @@ def learn(
     every = max(1, configuration.iterations // configuration.checkpoints)
     stored = iteration = 0
     for iteration in range(1, configuration.iterations + 1):
-        # K2 trajectories of fixed length: neither the target nor a collision ends them.
+        # trajectories of fixed length: neither the target nor a collision ends them.
         share = (iteration - 1) / configuration.iterations
         explore = configuration.explore_first * (1 - share) + configuration.explore_last * share
         env = SurrogateEnv(surrogate, navigation, scenes)

@@ -60,7 +60,7 @@ class Recipe:
         k2_only: trains on the K2 scenes, as the paper does, not on the bank.
         averaging: decay of the averaged network, a step.
         checkpoints: evaluations during training.
-        validation: held-out scenes that, with K2's, choose the network.
+        validation: held-out scenes that, with the training targets', choose the network.
     """
 
     transitions: int = 300_000
@@ -97,7 +97,7 @@ def train(
     seconds: float,
     progress: Progress,
 ) -> tuple[QNetwork, dict[str, np.ndarray], dict]:
-    """Return the best network on held-out and K2 scenes, the training curves, and how it was made.
+    """Return the best network on held-out scenes and training targets, the training curves, and how it was made.
 
     Args:
         seconds: limit of the wall time.
@@ -246,7 +246,7 @@ class _RobotsDQN(DQN):
 
 
 class _Checkpoints(BaseCallback):
-    """Averages the network, evaluates both now and then, keeps the best on held-out and K2 scenes."""
+    """Averages the network, evaluates both now and then, keeps the best on held-out scenes and targets."""
 
     def __init__(
         self,

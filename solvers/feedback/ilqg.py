@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from defplan_mj.base.space import SPACES
+from defplan_mj.base.space import PLANE, SPACES
 from defplan_mj.dynamics import tangent
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
@@ -161,10 +161,10 @@ class Ilqg:
         self,
         dynamics: ReducedDynamics,
         gait: Gait,
-        space: str = "planar",
+        space: str = PLANE.name,
         options: Options = Options(),
     ) -> None:
-        self._level, self._depth = SPACES[space].level, dynamics.terrain is None
+        self._level, self._depth = SPACES[space].level, not dynamics.world.walks
         if self._depth:
             options = replace(options, height=0.0)
         if not self._level:
@@ -237,7 +237,7 @@ class IlqgSolver:
         "iterative LQG over 5 steps: follows the gait's mean cycle, near the DMP's output"
     )
 
-    def prepare(self, dynamics: ReducedDynamics, gait: Gait, space: str = "planar") -> Ilqg:
+    def prepare(self, dynamics: ReducedDynamics, gait: Gait, space: str = PLANE.name) -> Ilqg:
         """Return the feedback of a gait: finds its mean cycles and their costs of going on."""
         return Ilqg(dynamics, gait, space, self.options)
 

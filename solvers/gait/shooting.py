@@ -84,7 +84,7 @@ class Shooting:
         began = time.perf_counter()
         rng = np.random.default_rng(seed)
         given = start is not None
-        if problem.dynamics.terrain is not None:
+        if problem.dynamics.world.walks:
             trace = Trace(progress, self.walking.iterations(problem.n_tasks, given))
             w, history, stages = self.walking.solve(problem, rng, trace, start, self.threads)
             best = _Trial(w, tuple(history), tuple(stages))

@@ -22,8 +22,9 @@ from scipy.optimize import OptimizeResult, minimize
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.world import tilt
 from defplan_mj.gait.problem import GaitProblem
-from defplan_mj.gait.switching import roll_cycles, tilt
+from defplan_mj.gait.switching import roll_cycles
 
 _SCALES = 1.0, 0.15  # of the unknowns alpha and beta
 _PENALTY = 5.0  # of the mean squared excess of target shapes

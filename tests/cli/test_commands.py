@@ -73,6 +73,9 @@ def test_list_prints_one_json_object_that_names_all_groups(capfd):
     assert {"fish-swim", "quadruped-swim"} <= {task["name"] for task in data["tasks"]}
     assert {"dql", "shooting"} <= {solver["name"] for solver in data["solvers"]}
     assert [domain["name"] for domain in data["domains"]] == ["fish", "quadruped", "tee"]
+    assert {"planar-laser", "spherical-laser"} <= {sensor["name"] for sensor in data["sensors"]}
+    swim = {"domain": "fish", "task": "swim", "gymnasium": "defplan/FishSwim-v0"}
+    assert swim in data["suite"]
 
 
 @pytest.mark.parametrize(
@@ -82,7 +85,21 @@ def test_list_prints_one_json_object_that_names_all_groups(capfd):
         ([], "required: COMMAND"),
         (["run"], "required: TASK"),
         (["run", "fish-swim", "--seed", "x"], "x is not a whole number, 0 or more"),
-        (["run", "fish-swim", "--sed", "1"], "unrecognized arguments: --sed"),
+        (
+            ["run", "fish-swim", "--sed", "1"],
+            "defplan run: there is no option --sed, did you mean --seed?",
+        ),
+        (
+            ["run", "fish-swim", "--episode=1"],
+            "there is no option --episode, did you mean --episodes?",
+        ),
+        (
+            ["run", "fish-swim", "--zzz"],
+            "defplan run: there is no option --zzz; see defplan run --help",
+        ),
+        (["run", "fish-swim", "--rival", "cio"], "the option --rival is called --compare-with"),
+        (["gait", "--solver", "cio", "fish-swim"], "the option --solver is called --gait-solver"),
+        (["gait", "fish-swim", "cio"], "defplan gait: there is nothing to be done with cio"),
         (["body", "a.stl", "--poissons-ratio", "0.5"], "0.5 is not a number from 0 to below 0.5"),
         (["body", "a.stl", "--density", "nan"], "nan is not a positive number"),
         (["evaluate", "fish-swim", "--scenes", "k3"], "there is no k3; choose from k2, novel"),

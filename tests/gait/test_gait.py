@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.space import PLANE
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait import switching
@@ -178,7 +179,7 @@ def test_switching_measures_cycles_in_the_frame_of_their_start(
 def test_a_tilted_or_backward_cycle_is_a_fall() -> None:
     measured = switching.Switching(
         tasks=TASKS[:1],
-        space="planar",
+        place=PLANE,
         length=1.0,
         task=np.zeros(4, int),
         move=np.outer([-1.0, 1.0, -0.1, 1.0], [1, 0, 0]),  # the first cycles start from rest
@@ -290,4 +291,4 @@ def test_in_space_switching_is_measured_about_the_tasks_axis_in_the_body_frame(
             assert measured.advance[cycle] == pytest.approx(move[2])
             assert measured.drift[cycle] == pytest.approx(np.hypot(move[0], move[1]))
         wrong = measured.angle[cycle] <= 0 if measured.task[cycle] else move[2] <= 0
-        assert measured.lost[cycle] == (wrong and cycle >= 2)
+        assert measured.wrong_way[cycle] == (wrong and cycle >= 2)

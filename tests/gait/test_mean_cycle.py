@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from defplan_mj.dynamics import tangent
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.world import tilt
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.mean_cycle import MeanCycle, mean_cycles
 from defplan_mj.gait.problem import GaitProblem
-from defplan_mj.gait.switching import measure_cycles, roll_cycles, tilt
+from defplan_mj.gait.switching import measure_cycles, roll_cycles
 from defplan_mj.task import GaitTask
 from defplan_tasks import quadruped
 from tests.samples import host as samples

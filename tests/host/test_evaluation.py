@@ -7,6 +7,7 @@ import pytest
 
 from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.body.model import Body
+from defplan_mj.dynamics.world import WATER
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.evaluation import (
     Episode,
@@ -66,7 +67,7 @@ class Note:
 @pytest.fixture(scope="module")
 def robot():
     """Return the packaged fish."""
-    return Robot(Body.load(ASSETS / "fish_body.npz"), Gait.load(ASSETS / "fish_gait.npz"))
+    return Robot(Body.load(ASSETS / "fish_body.npz"), Gait.load(ASSETS / "fish_gait.npz"), WATER)
 
 
 @pytest.fixture(scope="module")

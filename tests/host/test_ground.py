@@ -10,6 +10,7 @@ import pytest
 
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Heightfield, Terrain, TerrainGeom
+from defplan_mj.dynamics.world import World
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.evaluation import evaluate
 from defplan_mj.host.navigation import navigation_environment
@@ -143,7 +144,8 @@ def test_an_evaluation_of_a_walker_is_on_its_terrain(still):
     ahead = samples.scene([], target=(5.0, 0.0, 0.0), max_cycles=3)
     paths = []
     for terrain in (Terrain(), None):
-        robot = Robot(samples.walker(), still, terrain)
+        walker = samples.walker()
+        robot = Robot(walker, still, World(walker.medium, terrain))
         result = evaluate(robot, surrogate(), Navigation(), Stand(), [ahead], shield=False)
         [episode] = result.episodes
         assert episode.outcome == "timeout" and episode.cycles == 3

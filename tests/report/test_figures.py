@@ -9,8 +9,8 @@ import trimesh
 from defplan_mj.body.tetmesh import boundary
 from defplan_mj.log.plotting import view
 from defplan_mj.report.content import duration, mean_sd, number, percent
-from defplan_mj.report.drawing import outlines
-from defplan_mj.report.views import episode_views
+from defplan_mj.report.figures.drawing import outlines
+from defplan_mj.report.figures.views import episode_views
 
 
 def winding(point: np.ndarray, loops: list[np.ndarray]) -> int:

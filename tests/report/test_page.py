@@ -18,7 +18,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.report import write_report
-from defplan_mj.report.planning_sections import MANY
+from defplan_mj.report.sections.trajectories import MANY
 from tests.samples.bodies import pebble
 from tests.samples.logs import (
     record_swim,

@@ -14,6 +14,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.build import build_body
 from defplan_mj.cli import main
 from defplan_mj.gait.gait import Gait
+from defplan_mj.planning.robot import Robot
 from defplan_mj.studies import check, finer_bodies
 from defplan_mj.task import BodyOptions
 
@@ -40,7 +41,7 @@ def wag(small_fish) -> Gait:
 def test_a_gait_moves_the_reduced_body_as_the_full_one(small_fish, wag):
     """The full FEM is the independent truth: other unknowns, all triangles, its own step."""
     spec = registry.get_task("fish-swim")
-    data = check.check_gaits(spec, small_fish, wag)
+    data = check.check_gaits(spec, Robot(small_fish, wag, spec.world))
     (row,) = data["gaits"]
     assert row["shape_error"] < 0.1
     assert row["attitude_rad"] < 0.2
@@ -65,7 +66,8 @@ def test_a_body_reduced_less_is_asked_for_the_same_shapes(small_fish, wag):
 
 
 def test_finer_steps_hardly_change_a_gait(small_fish, wag):
-    data = check.check_gaits(registry.get_task("fish-swim"), small_fish, wag, full=False)
+    spec = registry.get_task("fish-swim")
+    data = check.check_gaits(spec, Robot(small_fish, wag, spec.world), full=False)
     (row,) = data["gaits"]
     assert "full" not in row["advance_m"]
     for kind in ("refined", "substeps"):
@@ -80,16 +82,16 @@ def test_refining_keeps_the_rhythm(wag):
 
 
 def test_gaits_of_another_body_are_refused(small_fish, wag):
+    spec = registry.get_task("fish-swim")
+    robot = Robot(small_fish, replace(wag, body_hash="0" * 64), spec.world)
     with pytest.raises(DefplanError, match="belong to another body"):
-        check.check_gaits(
-            registry.get_task("fish-swim"), small_fish, replace(wag, body_hash="0" * 64)
-        )
+        check.check_gaits(spec, robot)
 
 
 @pytest.mark.parametrize("task", ["fish-swim", "quadruped-swim"])
 def test_the_packaged_gaits_do_not_depend_on_the_time_step(task):
     spec = registry.get_task(task)
-    data = check.check_gaits(spec, *check.shipped(spec), full=False)
+    data = check.check_gaits(spec, check.packaged_robot(spec), full=False)
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     for gait in data["gaits"]:
         advance, turn = gait["advance_m"], gait["turn_rad"]

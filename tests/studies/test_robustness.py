@@ -11,6 +11,7 @@ from defplan_mj.body.model import Body, Material, Medium
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.tangent import Frame
 from defplan_mj.dynamics.terrain import Terrain
+from defplan_mj.dynamics.world import WATER
 from defplan_mj.gait.gait import Gait
 from defplan_mj.studies.robustness import (
     CALM,
@@ -20,7 +21,7 @@ from defplan_mj.studies.robustness import (
     heavier,
     measure_robustness,
     perturbed_walk,
-    world,
+    real_dynamics,
 )
 from defplan_mj.task import BodyOptions
 from defplan_solvers.feedback.open_loop import SOLVER as NONE
@@ -64,7 +65,7 @@ def test_a_heavier_body_has_the_same_shapes_and_the_energies_of_its_mass(fish_dy
 
 def test_a_body_stands_on_a_slope_of_the_said_angle(standing):
     slope = Condition("slope", slope=np.radians(5.0))
-    real, weight = world(standing, slope), standing.body.mass * 9.81
+    real, weight = real_dynamics(standing, slope), standing.body.mass * 9.81
     half = 0.5 * slope.slope
     ground = Frame(np.zeros(3), np.array([np.cos(half), 0.0, -np.sin(half), 0.0]))
     uphill = ground.matrix[:, 0]
@@ -77,7 +78,7 @@ def test_a_body_stands_on_a_slope_of_the_said_angle(standing):
 
 
 def test_friction_and_mass_are_those_of_the_condition_and_the_ground_stays_as_stiff(standing):
-    real = world(standing, Condition("both", friction=0.7, mass=1.2))
+    real = real_dynamics(standing, Condition("both", friction=0.7, mass=1.2))
     assert real.terrain is not None and standing.terrain is not None
     assert real.terrain.friction == pytest.approx(0.7 * standing.terrain.friction)
     assert real.body.mass == pytest.approx(1.2 * standing.body.mass)
@@ -149,7 +150,7 @@ def test_drift_is_what_cycles_are_off_from_the_expected_ones():
 
 def test_a_measurement_has_a_row_for_each_condition_and_feedback(fish_dynamics, fish_gait):
     solvers = [NONE, registry.get_solver("ilqg", "feedback")]
-    wanted = [c for c in conditions(0.3) if not c.slope and c.friction == 1.0][:2]
+    wanted = conditions(0.3, WATER)[:2]
     rows = measure_robustness(fish_dynamics, fish_gait, solvers, wanted, cycles=8)
     names = [(row["condition"], row["feedback"]) for row in rows]
     assert names == [(c.name, s.name) for c in wanted for s in solvers]

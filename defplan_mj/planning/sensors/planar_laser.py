@@ -6,6 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from defplan_mj.base.space import PLANE
 from defplan_mj.planning.sensors.laser import Laser
 
 
@@ -21,6 +22,6 @@ def directions(beams: int) -> np.ndarray:
 SENSOR = Laser(
     name="planar-laser",
     summary="distances along beams all around the horizon",
-    spaces=("planar",),
+    spaces=(PLANE.name,),
     directions=directions,
 )

@@ -6,6 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from defplan_mj.base.space import SPACE
 from defplan_mj.planning.sensors.laser import Laser
 
 
@@ -27,6 +28,6 @@ def directions(beams: int) -> np.ndarray:
 SENSOR = Laser(
     name="spherical-laser",
     summary="distances along beams in all directions",
-    spaces=("spatial",),
+    spaces=(SPACE.name,),
     directions=directions,
 )

@@ -1,4 +1,4 @@
-"""The report's sections on body, gaits and surrogate: the first stage."""
+"""The report's section on the gaits: curves and paths, their switching, and the gait solvers compared."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.gait.footing import SOLE, TORSO
-from defplan_mj.report.body_figures import mesh_figures, mode_figure
 from defplan_mj.report.content import (
     Block,
     Figures,
@@ -18,69 +17,18 @@ from defplan_mj.report.content import (
     Table,
     Text,
     drawing,
-    duration,
     mean_sd,
     number,
 )
-from defplan_mj.report.gait_figures import (
+from defplan_mj.report.figures.gaits import (
     controls_figure,
     history_figure,
     path_figures,
     play,
     strip_figure,
 )
-from defplan_mj.report.material import Material
-from defplan_mj.report.views import PICTURES
-
-
-def missing(material: Material, *names: str) -> Missing:
-    """Return the sentence on files that a section needs and does not have."""
-    for name in names:
-        if name in material.faults:
-            return Missing(f"{material.faults[name]}.")
-    what = " and ".join(names)
-    return Missing(f"Not made yet ({what}): defplan run {material.task} makes it.")
-
-
-def body_section(material: Material) -> Section:
-    """Return mesh, modes and what the reduction keeps."""
-    section = Section("body", "Body and modes")
-    body, dynamics = material.body, material.dynamics
-    if body is None or dynamics is None:
-        section.blocks.append(missing(material, "body.npz"))
-        return section
-    quality = body.source.get("quality", {})
-    paper = material.paper
-    rows = [
-        ["vertices", str(len(body.vertices)), str(paper.get("vertices", "–"))],
-        ["tetrahedra", str(len(body.tetrahedra)), "–"],
-        ["quality of tetrahedra, minimum / mean", _pair(quality, "min", "mean"), "–"],
-        ["degrees of freedom, full / reduced", f"{body.vertices.size} / {6 + body.n_modes}",
-         f"{3 * paper['vertices']} / {paper['dof']}" if "dof" in paper else "–"],
-        ["displacement basis k / sampled tetrahedra", f"{body.n_basis} / {len(body.sampled)}", "–"],
-        ["length / mass", f"{body.length:.2f} m / {body.mass:.2f} kg", "1 m / –"],
-        ["Young's modulus / Poisson's ratio",
-         f"{body.material.youngs_modulus:.3g} Pa / {body.material.poissons_ratio:g}", "–"],
-    ]  # fmt: skip
-    section.blocks += [
-        Text(
-            f"The body is built from {body.source.get('mesh', 'a mesh')}. A shape is a few modal "
-            "coordinates q; the rotation-strain map turns them into a displacement that keeps its "
-            "volume at large bends, and a second reduction makes it cheap enough for real time."
-        ),
-        Figures(
-            [drawing(figure, shaded=True) for figure in mesh_figures(body)],
-            "The tetrahedral mesh, whole, and without the half nearer to the viewer, so that the "
-            "tetrahedra inside (yellow) show.",
-        ),
-        Figures(
-            [drawing(mode_figure(body, dynamics, i), shaded=True) for i in range(body.n_modes)],
-            "Every linear mode at minus and plus the largest amplitude that gaits may ask for, as "
-            "the reduced body takes it. The frequency is that of small vibrations in vacuum.",
-        ),
-        Table(["", "here", "paper"], rows, "The body in figures."),
-    ]
-    return section
+from defplan_mj.report.figures.views import PICTURES
+from defplan_mj.report.material import Material, missing
 
 
 def gait_section(material: Material) -> Section:
@@ -258,79 +206,3 @@ def _over_seeds(solvers: Sequence[dict[str, Any]], name: str, digits: int = 3) -
 
 def _seed(solver: dict[str, Any]) -> str:
     return f", seed {solver['seed']}," if "seed" in solver else ""
-
-
-def surrogate_section(material: Material) -> Section:
-    """Return Table III's row, here and in the paper."""
-    section = Section("surrogate", "Rigid surrogate")
-    surrogate = material.surrogate
-    if surrogate is None:
-        section.blocks.append(missing(material, "surrogate.npz"))
-        return section
-    paper = material.paper
-    theirs = list(paper.get("tasks", ()))
-    rows = []
-    for k, name in enumerate(surrogate.task_names):
-        row = [
-            name,
-            mean_sd(surrogate.rotation_mean[k], surrogate.rotation_sd[k]),
-            mean_sd(surrogate.translation_mean[k], surrogate.translation_sd[k]),
-        ]
-        if name in theirs:
-            i = theirs.index(name)
-            row.append(mean_sd(paper["rotation_mean"][i], paper["rotation_sd"][i]))
-            row.append(mean_sd(paper["translation_mean"][i], paper["translation_sd"][i]))
-        else:
-            row += ["–", "–"]
-        rows.append(row)
-    columns = ["gait", "rotation (rad)", "translation (m)", "paper: rotation", "paper: translation"]
-    shares = surrogate.translation_sd / np.maximum(surrogate.translation_mean, 1e-12)
-    section.blocks += [
-        Text(
-            f"For planning, a whole cycle of a gait is one rigid motion, fitted to {surrogate.pairs} "
-            "pairs of states before and after a cycle while gaits are switched at random. The "
-            "spread says how far a single cycle is from it: here the translation's standard "
-            f"deviation is {100 * shares.min():.0f} to {100 * shares.max():.0f}% of its mean."
-        ),
-        Table(
-            columns,
-            rows,
-            "Rotation and translation a cycle, mean ± standard deviation over the pairs, beside "
-            "the paper's Table III.",
-        ),
-    ]
-    return section
-
-
-def time_section(material: Material) -> Section:
-    """Return the seconds of each stage beside the paper's Table I."""
-    section = Section("time", "Seconds per stage")
-    seconds, paper = material.seconds, material.paper
-    if not seconds:
-        section.blocks.append(missing(material, "run.json"))
-        return section
-    theirs = {"gait": paper.get("gait_h")}
-    if "planner_h" in paper:
-        theirs["planner"] = paper["planner_h"] + paper.get("features_h", 0.0)
-    rows = []
-    for stage, spent in seconds.items():
-        hours = theirs.get(stage)
-        ratio = f"{3600 * hours / spent:.0f}×" if hours and spent else "–"
-        rows.append(
-            [stage.replace("_", " "), duration(spent), f"{hours:g} h" if hours else "–", ratio]
-        )
-    rows.append(["total", duration(sum(seconds.values())), "–", "–"])
-    section.blocks.append(
-        Table(
-            ["stage", "here", "paper", "faster by"],
-            rows,
-            "Wall time of each stage in this run, beside the paper's Table I (an 8-core CPU; its "
-            "planner's time is learning and the laser's features together). A stage that was reused counts with "
-            "the time it took when it was made.",
-        )
-    )
-    return section
-
-
-def _pair(values: dict[str, float], *names: str) -> str:
-    return " / ".join(number(values.get(name), 2) for name in names)

@@ -13,8 +13,8 @@ from matplotlib.patches import Circle
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.log.plotting import FAINT, INK, OBSTACLE, PATH, SERIES, TARGET, new_figure, styled
 from defplan_mj.log.reader import EpisodeLog
-from defplan_mj.report.gait_figures import draw_bodies, draw_path, states_along
-from defplan_mj.report.views import PICTURES, View, episode_views
+from defplan_mj.report.figures.gaits import draw_bodies, draw_path, states_along
+from defplan_mj.report.figures.views import PICTURES, View, episode_views
 
 _ABSCISSAE = {"transitions": "transitions", "iterations": "iterations", "seconds": "seconds"}
 _REWARD = "#c8392b"  # the paper's red mean, on grey from minimum to maximum

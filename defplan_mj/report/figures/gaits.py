@@ -12,8 +12,8 @@ from defplan_mj.base.space import SPACES
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait, dmp
 from defplan_mj.log.plotting import FAINT, INK, PATH, SERIES, new_figure, styled, view
-from defplan_mj.report.drawing import draw_surface, silhouette
-from defplan_mj.report.views import PICTURES, View
+from defplan_mj.report.figures.drawing import draw_surface, silhouette
+from defplan_mj.report.figures.views import PICTURES, View
 
 _SHADOW = "#9cc6cd"
 
@@ -101,7 +101,7 @@ def strip_figure(
     if PICTURES[space].turning:
         rows["after cycles"] = [n * i for i in range(min(SHOWN, (len(states) - 1) // n + 1))]
     figure, grid = new_figure(4.6, 1.1 * len(rows) + 0.2, len(rows), 1)
-    walks = dynamics.terrain is not None  # seen level, all standing feet are on the ground's line
+    walks = dynamics.world.walks  # seen level, all standing feet are on the ground's line
     rotation = view(-70, 0 if walks else 12)
     for axes, (label, chosen) in zip(grid[:, 0], rows.items(), strict=True):
         bodies = [(dynamics.surface(states[i]) - states[i][:3]) for i in chosen]

@@ -9,7 +9,7 @@ from defplan_mj.body.model import Body
 from defplan_mj.body.tetmesh import boundary
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.log.plotting import SERIES, new_figure, styled, view
-from defplan_mj.report.drawing import draw_surface, fit
+from defplan_mj.report.figures.drawing import draw_surface, fit
 
 _OUTER, _INNER = "#1f7a8c", "#e0b25b"
 

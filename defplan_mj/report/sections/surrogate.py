@@ -1,0 +1,50 @@
+"""The report's section on the rigid surrogate: the paper's Table III."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from defplan_mj.report.content import Section, Table, Text, mean_sd
+from defplan_mj.report.material import Material, missing
+
+
+def surrogate_section(material: Material) -> Section:
+    """Return Table III's row, here and in the paper."""
+    section = Section("surrogate", "Rigid surrogate")
+    surrogate = material.surrogate
+    if surrogate is None:
+        section.blocks.append(missing(material, "surrogate.npz"))
+        return section
+    paper = material.paper
+    theirs = list(paper.get("tasks", ()))
+    rows = []
+    for k, name in enumerate(surrogate.task_names):
+        row = [
+            name,
+            mean_sd(surrogate.rotation_mean[k], surrogate.rotation_sd[k]),
+            mean_sd(surrogate.translation_mean[k], surrogate.translation_sd[k]),
+        ]
+        if name in theirs:
+            i = theirs.index(name)
+            row.append(mean_sd(paper["rotation_mean"][i], paper["rotation_sd"][i]))
+            row.append(mean_sd(paper["translation_mean"][i], paper["translation_sd"][i]))
+        else:
+            row += ["–", "–"]
+        rows.append(row)
+    columns = ["gait", "rotation (rad)", "translation (m)", "paper: rotation", "paper: translation"]
+    shares = surrogate.translation_sd / np.maximum(surrogate.translation_mean, 1e-12)
+    section.blocks += [
+        Text(
+            f"For planning, a whole cycle of a gait is one rigid motion, fitted to {surrogate.pairs} "
+            "pairs of states before and after a cycle while gaits are switched at random. The "
+            "spread says how far a single cycle is from it: here the translation's standard "
+            f"deviation is {100 * shares.min():.0f} to {100 * shares.max():.0f}% of its mean."
+        ),
+        Table(
+            columns,
+            rows,
+            "Rotation and translation a cycle, mean ± standard deviation over the pairs, beside "
+            "the paper's Table III.",
+        ),
+    ]
+    return section
