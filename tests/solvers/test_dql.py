@@ -258,6 +258,6 @@ def test_the_clock_ends_a_training_only_if_that_is_asked_for_and_then_it_is_told
         assert allowed == limit
         return None, {}, {"stopped_early": allowed < float("inf")}
 
-    monkeypatch.setattr("defplan_solvers.dql_training.train", trained)
+    monkeypatch.setattr("defplan_solvers.dql.training.train", trained)
     result = SOLVER.train(samples.surrogate(), Navigation(), 0, seconds)
     assert result.cut_short is (seconds is not None)
