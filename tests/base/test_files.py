@@ -33,16 +33,6 @@ def archive(tmp_path):
     return path
 
 
-def test_an_archive_comes_back_as_it_was_saved(archive):
-    arrays, meta, digest = files.load_archive(archive, "thing", 1)
-    assert meta == META
-    assert digest == files.content_hash(ARRAYS, META)
-    assert arrays.keys() == ARRAYS.keys()
-    for name, array in ARRAYS.items():
-        np.testing.assert_array_equal(arrays[name], array)
-        assert arrays[name].dtype == array.dtype
-
-
 def test_the_same_content_gives_the_same_bytes(tmp_path):
     paths = [tmp_path / "one.npz", tmp_path / "two.npz"]
     for path in paths:
@@ -56,21 +46,6 @@ def test_an_archive_cut_at_any_byte_is_refused(archive):
         archive.write_bytes(data[:size])
         with pytest.raises(DefplanError, match="is not a whole thing file|does not match its hash"):
             files.load_archive(archive, "thing", 1)
-
-
-def test_an_archive_with_a_flipped_byte_is_refused_or_equal(archive):
-    data = archive.read_bytes()
-    for place in range(0, len(data), 61):
-        damaged = bytearray(data)
-        damaged[place] ^= 0xFF
-        archive.write_bytes(damaged)
-        try:
-            arrays, meta, _ = files.load_archive(archive, "thing", 1)
-        except DefplanError:
-            continue
-        assert meta == META  # the byte was one that zip does not use, a time stamp for instance
-        for name, array in ARRAYS.items():
-            np.testing.assert_array_equal(arrays[name], array)
 
 
 def test_another_kind_or_version_is_named(archive):
@@ -93,13 +68,6 @@ def test_a_file_that_is_missing_or_no_archive_is_named(tmp_path):
     text.write_text("not an archive")
     with pytest.raises(DefplanError, match="is not a whole body file"):
         files.load_archive(text, "body", 1)
-
-
-def test_pickled_objects_are_refused(tmp_path):
-    path = tmp_path / "evil.npz"
-    np.savez(path, a=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(DefplanError, match="is not a whole body file"):
-        files.load_archive(path, "body", 1)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("odd"), KeyboardInterrupt()])
@@ -177,6 +145,7 @@ def test_any_arrays_come_back_to_the_bit(tmp_path_factory, arrays, meta):
     digest = files.save_archive(path, "thing", 1, arrays, meta)
     again, meta_again, hash_again = files.load_archive(path, "thing", 1)
     assert (meta_again, hash_again, set(again)) == (meta, digest, set(arrays))
+    assert digest == files.content_hash(arrays, meta)
     for name, array in arrays.items():
         assert again[name].dtype == array.dtype and again[name].shape == array.shape
         assert again[name].tobytes() == array.tobytes()

@@ -64,7 +64,3 @@ except KeyboardInterrupt:
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "True\n"
-
-
-def test_there_is_at_least_one_core():
-    assert 1 <= threads.available_cores() <= (os.cpu_count() or 1)

@@ -143,15 +143,6 @@ def test_an_array_that_claims_more_than_its_bytes_takes_no_memory(tmp_path):
         Body.load(path)
 
 
-def test_good_ones_are_taken(tmp_path):
-    body = sample_body()
-    body.save(tmp_path / "b.npz")
-    assert Body.load(tmp_path / "b.npz").hash == body.hash
-    gait = sample_gait(body)
-    gait.save(tmp_path / "g.npz")
-    assert Gait.load(tmp_path / "g.npz").hash == gait.hash
-
-
 @pytest.mark.parametrize(
     ("name", "change"),
     [

@@ -9,7 +9,6 @@ import pytest
 import trimesh
 
 from defplan_mj import cli
-from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 
 SMALL = ["--vertices", "300", "--modes", "3", "--quiet"]
@@ -27,16 +26,6 @@ def run(argv: list[str], capfd) -> tuple[int, str, str]:
     code = cli.main(argv)
     captured = capfd.readouterr()
     return code, captured.out, captured.err
-
-
-@pytest.fixture(scope="module")
-def body_file(tmp_path_factory):
-    """Return a small body file, built by the command."""
-    folder = tmp_path_factory.mktemp("body")
-    sphere().export(folder / "egg.stl")
-    output = folder / "egg.npz"
-    assert cli.main(["body", str(folder / "egg.stl"), "-o", str(output), *SMALL]) == 0
-    return output
 
 
 def test_the_body_is_as_the_options_say(tmp_path, capfd):
@@ -154,15 +143,6 @@ def test_a_missing_mesh_and_an_unknown_kind_are_named(tmp_path, capfd):
     (tmp_path / "a.docx").write_text("x")
     code, _, err = run(["body", str(tmp_path / "a.docx"), *SMALL], capfd)
     assert code == 1 and ".stl" in err and err.count("\n") == 1
-
-
-def test_a_body_file_cut_at_any_byte_is_refused(body_file, tmp_path):
-    data = body_file.read_bytes()
-    cut = tmp_path / "cut.npz"
-    for size in [0, 1, 100, *np.linspace(200, len(data) - 1, 25).astype(int)]:
-        cut.write_bytes(data[:size])
-        with pytest.raises(DefplanError, match=r"cut.npz .*(not a whole body file|hash)"):
-            Body.load(cut)
 
 
 def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path, capfd):

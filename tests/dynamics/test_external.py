@@ -201,14 +201,6 @@ def test_the_worked_example_reaches_its_shape_when_simulated(dynamics, example, 
     assert (np.abs(shapes) <= dynamics.body.amplitude + 1e-6).all()
 
 
-def test_both_solvers_of_the_worked_example_agree(dynamics, example):
-    if not ca.has_nlpsol("fatrop"):
-        pytest.skip("this CasADi has no fatrop")
-    wanted = np.array([0.3, 0.1, 0.0, 0.0, 0.0])
-    one, other = (example.reach(dynamics, wanted, 5, solver)[1] for solver in ("ipopt", "fatrop"))
-    np.testing.assert_allclose(one, other, atol=1e-4)
-
-
 def test_the_worked_example_runs_as_a_script(small_fish, example, tmp_path, capsys):
     small_fish.save(tmp_path / "body.npz")
     example.main(str(tmp_path / "body.npz"))

@@ -111,14 +111,6 @@ def test_the_rest_state_stays_at_rest(small_fish):
     np.testing.assert_allclose(x, dynamics.rest_state(), atol=1e-12)
 
 
-def test_sizes_follow_the_body(dynamics):
-    assert (dynamics.nu, dynamics.nx) == (5, 28)
-    assert dynamics.rest_state().shape == (28,)
-    assert dynamics.rollout(dynamics.rest_state(), np.zeros((4, 5))).shape == (5, 28)
-    assert dynamics.surface(dynamics.rest_state()).shape == (len(dynamics.body.surface), 3)
-    assert ReducedDynamics(dynamics.body, 0.01).timestep == 0.01
-
-
 def test_any_memory_layout_and_number_type_gives_the_same_rollout(dynamics):
     x0 = dynamics.rest_state()
     u = np.random.default_rng(2).integers(-1, 2, (6, dynamics.nu))

@@ -21,16 +21,6 @@ def dynamics(small_fish: Body) -> ReducedDynamics:
     return ReducedDynamics(in_medium(small_fish, Medium()), tolerance=1e-10)
 
 
-def test_a_change_that_is_made_is_found_again(dynamics):
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        x, z = random_state(dynamics, rng), 0.7 * rng.normal(size=27)
-        z[3:6] *= 0.5
-        np.testing.assert_allclose(
-            tangent.difference(tangent.retract(x, z), x), z, rtol=1e-12, atol=1e-12
-        )
-
-
 NX = 13 + 3 * 2
 NUMBERS = st.floats(-10, 10)
 ATTITUDES = hnp.arrays(float, 4, elements=st.floats(-1, 1)).filter(

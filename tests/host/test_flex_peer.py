@@ -10,7 +10,7 @@ from defplan_mj.host.flex_peer import PARAMETRISATIONS, flex_model, flex_step_ms
 from tests.samples import host as samples
 
 
-@pytest.mark.parametrize(("kind", "dofs"), [("full", 3 * 250), ("trilinear", 24)])
+@pytest.mark.parametrize(("kind", "dofs"), [("full", 3 * 300), ("trilinear", 24)])
 def test_flex_has_the_bodys_mesh_and_mass(kind, dofs):
     body = samples.fish()
     model = flex_model(body, kind, 0.04)

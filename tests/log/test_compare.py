@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.log.compare import DRIFT_COLUMNS, compare_logs
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.run_files import RunFiles
@@ -22,7 +21,6 @@ from tests.samples.logs import (
     sample_surrogate,
     spatial_parts,
     spatial_scene,
-    turn,
 )
 
 
@@ -215,11 +213,3 @@ def test_logs_without_a_whole_cycle_are_one_sentence(tmp_path):
     record_episode(tmp_path / "none.mcap", cycles=0)
     with pytest.raises(DefplanError, match="no whole gait cycle"):
         compare_logs([tmp_path / "none.mcap"])
-
-
-def test_a_prediction_is_the_gaits_motion_in_the_bodys_frame():
-    surrogate = sample_surrogate(sample_body())
-    pose = np.array([1.0, 2.0, 0.0, *rotations.quaternion(turn(np.pi / 2))])
-    after = RigidDynamics(surrogate).step(pose, 1)
-    np.testing.assert_allclose(after[:3], [0.9, 2.4, 0.0], atol=1e-15)
-    assert rotations.heading(rotations.matrix(after[3:])) == pytest.approx(np.pi / 2 + 0.6)

@@ -36,6 +36,7 @@ from tests.samples.logs import (
 )
 
 AIR = Medium(name="air", density=1.2, gravity=-9.81, righting_height=0.0)
+FLAT = (0.5, 0.2, 0.12)
 RIDGE = (TerrainGeom("plane"), TerrainGeom("box", (0.5, 0.1, 0.2), (3.0, 0.0, 0.0)))
 
 
@@ -92,7 +93,7 @@ def test_a_log_with_feedback_replays_its_target_shapes_to_the_bit(path, tmp_path
 
 
 def test_a_log_of_a_body_on_the_ground_holds_the_ground_and_its_forces(tmp_path):
-    body, ground = pebble(AIR), Terrain(friction=0.55, geoms=RIDGE)
+    body, ground = pebble(AIR, FLAT), Terrain(friction=0.55, geoms=RIDGE)
     dynamics = ReducedDynamics(body, TIMESTEP, ground)
     x = dynamics.rest_state()
     path = tmp_path / "ground.mcap"
@@ -119,7 +120,7 @@ def test_a_log_of_a_body_on_the_ground_holds_the_ground_and_its_forces(tmp_path)
 
 
 def test_an_episode_on_the_ground_replays_to_the_bit_in_kernel_and_mujoco(tmp_path):
-    body, ground = pebble(AIR, (0.5, 0.2, 0.12)), Terrain(friction=0.55)
+    body, ground = pebble(AIR, FLAT), Terrain(friction=0.55)
     path = tmp_path / "walk.mcap"
     gait = swimming_gait(body)
     gait = replace(gait, alpha=0.1 * gait.alpha)  # so that it stays on its feet

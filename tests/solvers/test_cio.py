@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.body.model import Medium
+from defplan_mj.body.model import Body, Medium
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.gait.problem import GaitProblem
@@ -217,13 +217,8 @@ def test_forces_at_the_start_carry_the_weight(pattern):
 
 
 @pytest.fixture(scope="module")
-def walking() -> GaitProblem:
-    air = Medium(name="air", density=1.2, gravity=-GRAVITY, righting_height=0.0)
-    options = BodyOptions(
-        vertices=450, modes=6, basis=12, samples=8, drag_points=8, amplitude=1.0, medium=air
-    )
-    body = built(ASSETS / "quadruped.obj", options)
-    dynamics = ReducedDynamics(body, 0.03, Terrain(slip_speed=0.03))
+def walking(small_walker: Body) -> GaitProblem:
+    dynamics = ReducedDynamics(small_walker, 0.03, Terrain(slip_speed=0.03))
     tasks = (GaitTask("forward", move=(0.3, 0, 0)), GaitTask("left", move=(0, 0.3, 0)))
     weights = Objective(turn=1.0, move=8.0, drift=8.0, tilt=3.0)
     return GaitProblem(dynamics, tasks, 10, 20, elements=3, weights=weights)

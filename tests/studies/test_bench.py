@@ -14,13 +14,6 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.studies import bench
 
 
-def test_a_timing_knows_median_and_p99():
-    timing = bench.Timing(np.arange(1, 1001) * 1e-6)
-    assert timing.median == pytest.approx(500.5e-6)
-    assert timing.p99 == pytest.approx(990e-6, rel=1e-3)
-    assert timing.scaled(1e-6) == {"median": 500.5, "p99": pytest.approx(990.01)}
-
-
 def test_measure_calls_as_often_as_it_says():
     calls = []
     timing = bench.measure(lambda: calls.append(0), repeats=7, warm=2)

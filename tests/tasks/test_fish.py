@@ -5,22 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from defplan_mj import registry, suite
-from defplan_mj.task import TaskSpec
+from defplan_mj import suite
 from defplan_tasks import fish
 from tests.samples import host as samples
 
 
 def _swim():
     return suite.load("fish", "swim", task_kwargs={"random": 0, "body": samples.fish()})
-
-
-def test_task_is_registered():
-    task = registry.get_task("fish-swim")
-    assert isinstance(task, TaskSpec) and task is fish.SWIM
-    assert task.mesh.is_file()
-    assert [gait.name for gait in task.gait_tasks] == ["forward", "left", "right"]
-    assert task.steps_per_cycle == 32 and task.gait_steps == 576 and task.body.vertices == 2118
 
 
 def test_reward_is_speed_towards_the_target():

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from defplan_mj import registry, suite
+from defplan_mj import suite
 from defplan_mj.host.skin import texture_of
-from defplan_mj.task import TaskSpec
 from defplan_tasks import quadruped
 from tests.samples import host as samples
 
@@ -17,15 +16,6 @@ def _swim(**kwargs):
     return suite.load(
         "quadruped", "swim", task_kwargs={"random": 0, "body": samples.quadruped(), **kwargs}
     )
-
-
-def test_task_is_registered():
-    task = registry.get_task("quadruped-swim")
-    assert isinstance(task, TaskSpec) and task is quadruped.SWIM
-    assert task.mesh.is_file()
-    assert {gait.name for gait in task.gait_tasks} == {"front", "back", "left", "right", "forward"}
-    assert task.steps_per_cycle == 18 and task.body.vertices == 1054 and task.body.modes == 10
-    assert task.navigation.space == "spatial" and task.navigation.k2 == 30
 
 
 def test_turns_tilt_the_own_axis_to_the_side_they_are_called_after():
