@@ -6,7 +6,7 @@ PYTHON := $(VENV)/bin/python
 READY := $(VENV)/.defplan-ready
 SOURCES := requirements.lock pyproject.toml setup.py \
 	$(wildcard defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch])
-LINTED := defplan_mj tasks solvers
+LINTED := defplan_mj tasks solvers tests
 
 .PHONY: help setup demo test test-full sanitize sanitize-fast bench lint clean
 
@@ -33,12 +33,12 @@ test-full: $(READY)
 # Libraries in build/sanitize (about a minute and a half, if a source changed); those that are used otherwise stay as they are. The sanitizers must be
 # loaded first, by name; Python's own leaks are not looked at. libstdc++ is there for exceptions.
 # Not CasADi's functions: it opens its own libraries with RTLD_DEEPBIND, which the address sanitizer refuses.
-SANITIZED := tests/test_kernel.py tests/test_kernel_contact.py tests/test_kernel_derivatives.py \
-	tests/test_kernel_distance.py tests/test_kernel_honest.py tests/test_kernel_tumbling.py \
-	tests/test_reduced.py tests/test_host_plugin.py \
-	tests/test_host_contact.py tests/test_host_ground.py tests/test_host_obstacles.py \
-	tests/test_host_skin.py tests/test_host_turns.py
-SANITIZED_FAST := tests/test_kernel_distance.py tests/test_host_plugin.py
+SANITIZED := tests/kernel/test_step.py tests/kernel/test_contact.py tests/kernel/test_derivatives.py \
+	tests/kernel/test_distance.py tests/kernel/test_honest.py tests/kernel/test_tumbling.py \
+	tests/dynamics/test_reduced.py tests/host/test_plugin.py \
+	tests/host/test_contact.py tests/host/test_ground.py tests/host/test_obstacles.py \
+	tests/host/test_skin.py tests/host/test_turns.py
+SANITIZED_FAST := tests/kernel/test_distance.py tests/host/test_plugin.py
 
 sanitize: CHOSEN := $(SANITIZED)
 sanitize-fast: CHOSEN := $(SANITIZED_FAST)

@@ -14,15 +14,11 @@ from defplan_mj.base import threads
 threads.set_environment(1)  # before a test loads numpy
 
 # Not the task itself: it loads MuJoCo, which must know first how to render.
-from defplan_mj.body.build import build_body  # noqa: E402
-from defplan_mj.body.model import Body, Medium  # noqa: E402
+from defplan_mj.body.model import Body  # noqa: E402
 from defplan_mj.dynamics.reduced import ReducedDynamics  # noqa: E402
 from defplan_mj.gait.gait import Gait  # noqa: E402
-from defplan_mj.task import BodyOptions  # noqa: E402
-
-FISH_MESH = Path(__file__).parents[1] / "tasks" / "assets" / "fish.obj"
-QUADRUPED_MESH = FISH_MESH.with_name("quadruped.obj")
-AIR = Medium(name="air", density=0.0, gravity=-9.81, righting_height=0.0)
+from tests.samples import bodies  # noqa: E402
+from tests.samples.paths import ASSETS  # noqa: E402
 
 _RENDER = """
 import mujoco
@@ -60,13 +56,13 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture(scope="session")
 def fish_gait() -> Gait:
     """The packaged fish's gait."""
-    return Gait.load(FISH_MESH.with_name("fish_gait.npz"))
+    return Gait.load(ASSETS / "fish_gait.npz")
 
 
 @pytest.fixture(scope="session")
 def fish_dynamics(fish_gait: Gait) -> ReducedDynamics:
     """The packaged fish's dynamics."""
-    return ReducedDynamics(Body.load(FISH_MESH.with_name("fish_body.npz")), fish_gait.timestep)
+    return ReducedDynamics(Body.load(ASSETS / "fish_body.npz"), fish_gait.timestep)
 
 
 @pytest.fixture
@@ -78,21 +74,27 @@ def rendering(pytestconfig: pytest.Config) -> None:
 
 @pytest.fixture(scope="session")
 def small_fish() -> Body:
-    """Return the fish on a coarse mesh: fast to build and to compare with the full FEM."""
-    options = BodyOptions(vertices=300, modes=5, basis=20, samples=16, drag_points=40)
-    return build_body(FISH_MESH, options, name="small fish")
+    """Return the fish on a coarse mesh."""
+    return bodies.small_fish()
 
 
 @pytest.fixture(scope="session")
 def small_walker() -> Body:
-    """Return the 4-legged body in air on a coarse mesh: on a coarser one its legs would be lost."""
-    options = BodyOptions(
-        vertices=450, modes=6, basis=20, samples=10, drag_points=4, amplitude=1.0, medium=AIR
-    )
-    return build_body(QUADRUPED_MESH, options, name="small walker")
+    """Return the 4-legged body in air on a coarse mesh."""
+    return bodies.small_walker()
 
 
 @pytest.fixture(scope="session")
 def fish() -> Body:
     """Return the fish of the paper's size; takes some seconds, so for slow tests."""
-    return build_body(FISH_MESH, BodyOptions(vertices=2118, modes=5), name="fish")
+    return bodies.fish()
+
+
+@pytest.fixture(scope="session")
+def swim_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the log of an episode of `bodies.pebble()`; a test that changes it works on a copy."""
+    from tests.samples import logs  # loads MuJoCo
+
+    path = tmp_path_factory.mktemp("swim") / "swim.mcap"
+    logs.record_swim(path, logs.swimming_files(bodies.pebble()))
+    return path

@@ -15,7 +15,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.samples.paths import ROOT
+
 PARTS = ("defplan_mj", "tasks", "solvers", "setup.py", "pyproject.toml", "README.md", "LICENSE")
 
 needs_source_tree = pytest.mark.skipif(

@@ -46,14 +46,6 @@ def installed(monkeypatch):
     return put
 
 
-def test_this_package_registers_its_task_solvers_and_domain():
-    assert "fish-swim" in registry.names(registry.TASKS)
-    assert {"shooting", "alternating", "dql", "dql-paper", "astar", "greedy"} <= set(
-        registry.names(registry.SOLVERS)
-    )
-    assert "fish" in registry.names(registry.DOMAINS)
-
-
 def test_none_of_our_own_plugins_is_broken():
     entries = [*registry.tasks(), *registry.solvers(), *registry.domains()]
     assert [f"{e.name}: {e.error}" for e in entries if e.package == "defplan" and e.error] == []

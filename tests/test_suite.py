@@ -6,9 +6,10 @@ import copy
 import pickle
 import subprocess
 import sys
+from collections.abc import Callable
+from typing import Any
 from unittest import mock
 
-import host_samples as samples
 import mujoco
 import numpy as np
 import pytest
@@ -18,8 +19,9 @@ from mujoco import rollout
 from defplan_mj import suite
 from defplan_mj.base.errors import DefplanError
 from defplan_tasks import environments
+from tests.samples import host as samples
 
-KWARGS = {
+KWARGS: dict[tuple[str, str], Callable[[], dict[str, Any]]] = {
     ("fish", "swim"): lambda: {"body": samples.fish()},
     ("fish", "navigate"): lambda: {"body": samples.fish(), "gait": samples.gait()},
     ("quadruped", "swim"): lambda: {"body": samples.quadruped()},

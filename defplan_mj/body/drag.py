@@ -17,7 +17,7 @@ from defplan_mj.body.mirror import nearest_places, signs
 from defplan_mj.body.model import Medium
 from defplan_mj.body.tetmesh import TetMesh, boundary, shape_gradients
 
-_SPEED2 = 1e-4  # m^2/s^2, smooths the friction at rest: kernel/energy.c
+_SPEED2 = 1e-4  # m^2/s^2, smooths the friction at rest: kernel/drag.h
 _AT_ONCE = 16  # moments worked on together: what fits in the cache
 
 

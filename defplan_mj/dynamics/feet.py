@@ -10,7 +10,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.kernel.pack import pack_field
 
-HEADER, MAX_FEET = 8, 16  # kernel/kinematics.c, kernel/kernel.h
+HEADER, MAX_FEET = 8, 16  # kernel/parts.c, kernel/kernel.h
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Lay a Body out as the flat array of doubles that the C kernel reads (internal.h: body_view)."""
+"""Lay a Body out as the flat array of doubles that the C kernel reads (parts.h: body_view)."""
 
 from __future__ import annotations
 

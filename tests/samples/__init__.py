@@ -1,0 +1,1 @@
+"""Shared by tests: bodies, scenes, gaits, logs, and independent truths."""

@@ -1,0 +1,263 @@
+"""Planner dql: training that learns and repeats itself, files that are refused when they do not fit."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+import torch
+
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.planning.observation import Senses
+from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS
+from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes
+from defplan_mj.planning.sensors.laser import beam_directions
+from defplan_mj.planning.surrogate_env import run_on_surrogate
+from defplan_mj.task import Navigation
+from defplan_solvers.dql.ablations import CHANGES, ablate
+from defplan_solvers.dql.dql import SOLVER, DqlPlanner, QNetwork
+from defplan_solvers.dql.training import Recipe, _reward, _Robots, train
+from tests.samples import planning as samples
+
+NAVIGATION = Navigation()
+SPATIAL = Navigation(k2=30, beams=128, space="spatial")
+SMALL = Recipe(
+    transitions=4000,
+    robots=32,
+    scenes=200,
+    batch=32,
+    buffer=4000,
+    checkpoints=2,
+    validation=10,
+    novel=5,
+)
+
+
+def silent(message, fraction):
+    pass
+
+
+def random_network(seed=0, inputs=75):
+    generator = np.random.default_rng(seed)
+    sizes = [inputs, 8, 8, 3]
+    return QNetwork(
+        tuple(
+            generator.normal(size=(b, a)).astype(np.float32) for a, b in itertools.pairwise(sizes)
+        ),
+        tuple(generator.normal(size=b).astype(np.float32) for b in sizes[1:]),
+    )
+
+
+def planner(**kwargs):
+    return DqlPlanner(random_network(**kwargs), samples.surrogate(), NAVIGATION, {"seed": 0})
+
+
+def observation():
+    generator = np.random.default_rng(3)
+    return {"laser": generator.uniform(0, 10, 64), "target": generator.normal(0, 8, 3)}
+
+
+def test_the_network_in_numpy_is_the_one_in_torch():
+    network = random_network()
+    layers = []
+    for weight, bias in zip(network.weights, network.biases, strict=True):
+        linear = torch.nn.Linear(*weight.shape[::-1])
+        linear.load_state_dict({"weight": torch.tensor(weight), "bias": torch.tensor(bias)})
+        layers += [linear, torch.nn.Softplus()]
+    inputs = np.random.default_rng(1).normal(size=(20, 75)).astype(np.float32)
+    with torch.no_grad():
+        expected = torch.nn.Sequential(*layers[:-1])(torch.from_numpy(inputs)).numpy()
+    assert np.allclose(network(inputs), expected, rtol=1e-5, atol=1e-5)
+
+
+def test_features_tell_near_and_far_targets_sides_and_the_room_of_gaits_apart():
+    senses = Senses(samples.walker(radius=0.9), Navigation(beams=4))
+    laser = np.array([1.4, 10.0, 1.0, 10.0])  # ahead and behind
+    row = senses(laser, np.array([3.0, -4.0]))
+    sideways = np.hypot(1.0, 0.0) - 0.9  # the start of a cycle is the nearest to what is behind
+    room = np.array([0.1, 1.0 - 0.4 - 0.9, sideways, sideways])
+    expected = [0.86, 0, 0.9, 0, 0.6, -0.8, np.log(6) / 3, 0.25, np.exp(-2.5)]
+    expected = [*expected, *np.tanh(room / 0.2), *np.exp(-room)]
+    assert row.dtype == np.float32 and len(row) == senses.size
+    assert np.allclose(row, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("robot", "navigation"),
+    [
+        pytest.param(samples.surrogate, NAVIGATION, id="turning"),
+        pytest.param(samples.walker, NAVIGATION, id="walking"),
+        pytest.param(samples.swimmer, SPATIAL, id="spatial"),
+    ],
+)
+def test_the_room_of_a_gait_is_what_its_way_sampled_finely_leaves(robot, navigation):
+    surrogate = robot()
+    laser = np.random.default_rng(0).uniform(0.3, 4, (5, navigation.beams)).astype(np.float32)
+    directions = beam_directions(navigation.beams, navigation.space)
+    ways = surrogate.motions(navigation.space).translations
+    along = np.linspace(0, 1, 501)[:, None, None] * ways
+    points = laser[:, :, None] * directions
+    expected = [
+        np.linalg.norm(along[:, :, None] - scan, axis=3).min((0, 2)) - surrogate.radius
+        for scan in points
+    ]
+    senses = Senses(surrogate, navigation)
+    assert np.allclose(senses.room(laser), expected, atol=2e-3)
+    assert senses.room(laser[:0]).shape == (0, len(ways))
+
+
+@pytest.mark.parametrize(
+    ("robot", "navigation", "layer"),
+    [
+        pytest.param(samples.surrogate, NAVIGATION, (64, 75), id="planar"),
+        pytest.param(samples.swimmer, SPATIAL, (64, 144), id="spatial"),
+    ],
+)
+def test_training_repeats_itself_to_the_bit_whatever_was_drawn_before(robot, navigation, layer):
+    surrogate = robot()
+    first, curves, meta = train(surrogate, navigation, 0, SMALL, 600, silent)
+    np.random.seed(5)  # noqa: NPY002 (stable-baselines3 draws from the global generator)
+    torch.manual_seed(5)
+    again, _, _ = train(surrogate, navigation, 0, SMALL, 600, silent)
+    other, _, _ = train(surrogate, navigation, 1, SMALL, 600, silent)
+    assert all(np.array_equal(a, b) for a, b in zip(first.weights, again.weights, strict=True))
+    assert not np.array_equal(first.weights[0], other.weights[0])
+    assert first.weights[0].shape == layer
+    assert meta["transitions"] == 4000 and not meta["stopped_early"]
+    assert {len(curve) for curve in curves.values()} == {2}
+
+
+def test_rewards_of_a_cycle_are_those_the_recipe_names():
+    robots = _Robots(samples.swimmer(), SPATIAL, 0, SMALL)
+    step = dataclasses.replace(
+        robots.robots.step(np.zeros(SMALL.robots, int)),
+        progress=np.array([0.45, -0.9, 0.0], np.float32),
+        reward=np.array([9.0, -18.0, -1000.0], np.float32),
+        outcome=np.array([RUNNING, SUCCESS, COLLISION]),
+    )
+    rewards = {
+        name: _reward(step, dataclasses.replace(SMALL, reward=name), 0.45)
+        for name in ("progress", "goal", "eq2")
+    }
+    assert np.allclose(rewards["progress"], [1 - 0.05, -2 + 5 - 0.05, -10 - 0.05], atol=1e-6)
+    assert np.allclose(rewards["goal"], [-0.05, 5 - 0.05, -10 - 0.05], atol=1e-6)
+    assert np.array_equal(rewards["eq2"], step.reward)
+
+
+def test_robots_train_in_varied_scenes_or_in_the_k2_scenes_alone():
+    varied = _Robots(samples.swimmer(), SPATIAL, 3, SMALL).robots.batch
+    fixed = _Robots(samples.swimmer(), SPATIAL, 3, dataclasses.replace(SMALL, k2_only=True))
+    assert len(varied) == SMALL.scenes and len(fixed.robots.batch) == 30
+    wanted = SceneBatch.of(k2_scenes(SPATIAL, 3))
+    assert np.array_equal(fixed.robots.batch.targets, wanted.targets)
+
+
+def test_an_ablation_tries_the_chosen_network_on_k2_and_novel_scenes():
+    recipe = dataclasses.replace(SMALL, **CHANGES["raw Eq. 2"])
+    row = ablate(samples.swimmer(), SPATIAL, 0, recipe)
+    again = ablate(samples.swimmer(), SPATIAL, 0, recipe)
+    assert row.pop("cpu_seconds") > 0 and again.pop("cpu_seconds") > 0
+    assert row == again and set(row) == {"k2", "novel", "novel_timeouts"}
+    assert 0 <= row["novel"] + row["novel_timeouts"] <= 1
+
+
+def test_training_stops_at_the_limit_of_time_and_still_gives_a_network():
+    network, curves, meta = train(samples.surrogate(), NAVIGATION, 0, SMALL, 0.0, silent)
+    assert meta["stopped_early"] and network.weights[0].shape == (64, 75)
+
+
+def test_training_tells_its_progress_up_to_the_end():
+    told = []
+    train(samples.surrogate(), NAVIGATION, 0, SMALL, 60, lambda message, done: told.append(done))
+    assert told == sorted(told) and told[-1] == 1
+
+
+def test_training_leaves_the_number_of_torch_threads_as_it_was():
+    before = torch.get_num_threads()
+    train(
+        samples.surrogate(), NAVIGATION, 0, dataclasses.replace(SMALL, transitions=200), 60, silent
+    )
+    assert torch.get_num_threads() == before
+
+
+def success(surrogate, navigation, network, scenes):
+    senses = Senses(surrogate, navigation)
+
+    def act(laser, target, robots):
+        return network(senses(laser, target)).argmax(1)
+
+    return run_on_surrogate(surrogate, navigation, SceneBatch.of(scenes), act).rate()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_training_learns_to_reach_k2_and_most_novel_targets(seed):
+    recipe = Recipe(transitions=150_000, buffer=150_000, checkpoints=8)
+    surrogate = samples.surrogate()
+    network, _, _ = train(surrogate, NAVIGATION, seed, recipe, 600, silent)
+    assert success(surrogate, NAVIGATION, network, k2_scenes(NAVIGATION, seed)) == 1
+    novel = novel_scenes(NAVIGATION, 200, seed + 50)
+    assert success(surrogate, NAVIGATION, network, novel) > 0.85
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    ("robot", "navigation"),
+    [
+        pytest.param(samples.walker, NAVIGATION, id="wide walker"),
+        pytest.param(samples.swimmer, SPATIAL, id="in space"),
+    ],
+)
+def test_the_whole_training_learns_to_reach_k2_and_most_novel_targets(robot, navigation, seed):
+    surrogate = robot()
+    network, _, meta = train(surrogate, navigation, seed, Recipe(), 3600, silent)
+    assert not meta["stopped_early"]
+    assert success(surrogate, navigation, network, k2_scenes(navigation, seed)) == 1
+    novel = novel_scenes(navigation, 200, seed + 50)
+    assert success(surrogate, navigation, network, novel) > 0.85
+
+
+@pytest.mark.slow
+def test_without_a_reward_for_progress_a_robot_that_turns_in_place_learns_nothing():
+    budget = Recipe(transitions=60_000, buffer=60_000, checkpoints=4)
+    kept = ablate(samples.swimmer(), SPATIAL, 0, budget)
+    lost = ablate(samples.swimmer(), SPATIAL, 0, dataclasses.replace(budget, reward="goal"))
+    assert kept["k2"] > 0.8 and kept["novel"] > 0.7
+    assert lost["k2"] < 0.1 and lost["novel"] < 0.1
+
+
+def test_a_saved_planner_gives_the_same_values_to_the_bit(tmp_path):
+    path = tmp_path / "policy.npz"
+    SOLVER.save(planner(), path)
+    loaded = SOLVER.load(path, samples.surrogate(), NAVIGATION)
+    assert np.array_equal(loaded.values(observation()), planner().values(observation()))
+    assert loaded.meta == {"seed": 0}
+
+
+def test_policies_that_do_not_fit_are_refused_in_one_sentence(tmp_path):
+    path = tmp_path / "policy.npz"
+    SOLVER.save(planner(), path)
+    with pytest.raises(DefplanError, match="wants 75 inputs, this task's laser, .* gaits give 43"):
+        SOLVER.load(path, samples.surrogate(), Navigation(beams=32))
+    renamed = dataclasses.replace(samples.surrogate(), task_names=("forward", "port", "right"))
+    with pytest.raises(DefplanError, match="forward, left, right, not for forward, port, right"):
+        SOLVER.load(path, renamed, NAVIGATION)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(DefplanError, match="cut short or damaged"):
+        SOLVER.load(path, samples.surrogate(), NAVIGATION)
+    with pytest.raises(DefplanError, match="does not exist"):
+        SOLVER.load(tmp_path / "nothing.npz", samples.surrogate(), NAVIGATION)
+
+
+@pytest.mark.parametrize(("seconds", "limit"), [(None, float("inf")), (5.0, 5.0)])
+def test_the_clock_ends_a_training_only_if_that_is_asked_for_and_then_it_is_told(
+    monkeypatch, seconds, limit
+):
+    def trained(surrogate, navigation, seed, recipe, allowed, progress):
+        assert allowed == limit
+        return None, {}, {"stopped_early": allowed < float("inf")}
+
+    monkeypatch.setattr("defplan_solvers.dql.training.train", trained)
+    result = SOLVER.train(samples.surrogate(), Navigation(), 0, seconds)
+    assert result.cut_short is (seconds is not None)
