@@ -118,7 +118,7 @@ def check_gaits(
             _compare_full(spec, body, gait, j, states["reduced"], row, progress)
         rows.append(row)
     errors = body.source.get("frequencies", {}).get("error", [])[:3]
-    problem = GaitProblem.of(spec, kinds["refined"][0])
+    problem = GaitProblem.of(spec.of_gaits(gait.task_names), kinds["refined"][0])
     problem.steps_per_cycle = finer.steps_per_cycle
     progress("check: switching", 1.0)
     falls = evaluate_switching(problem, finer, switched, seed).falls if spec.terrain else 0
