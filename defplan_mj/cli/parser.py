@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import difflib
 import math
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from defplan_mj import __version__
 from defplan_mj.cli import body, commands, logs, new
+
+_AXES = ("x", "-x", "y", "-y", "z", "-z")
 
 
 class Parser(argparse.ArgumentParser):
@@ -32,7 +35,18 @@ class Parser(argparse.ArgumentParser):
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """Parse `argv`; the function that runs the command is in `command`."""
-    return build().parse_args(argv)
+    return build().parse_args(_joined(sys.argv[1:] if argv is None else argv))
+
+
+def _joined(argv: Sequence[str]) -> list[str]:
+    """Return words of which '--up -x' is one: argparse would take the axis for an option."""
+    words: list[str] = []
+    for word in argv:
+        if words and words[-1] in ("--up", "--forward") and word in _AXES:
+            words[-1] += f"={word}"
+        else:
+            words.append(word)
+    return words
 
 
 def build() -> argparse.ArgumentParser:
@@ -102,11 +116,10 @@ def _new(sub: argparse.ArgumentParser) -> None:
 
 def _guessing(sub: argparse.ArgumentParser) -> None:
     """Add what a task is guessed from, besides its mesh."""
-    axes = ("x", "-x", "y", "-y", "z", "-z")
     sub.add_argument("--medium", choices=("water", "ground"), help="what a mesh moves in, or on")
     sub.add_argument("--length", type=_positive, metavar="M", help="longest extent (default: 1 m)")
-    sub.add_argument("--up", choices=axes, help="axis of the mesh file (default: guessed)")
-    sub.add_argument("--forward", choices=axes, help="axis of the mesh file (default: guessed)")
+    sub.add_argument("--up", choices=_AXES, help="axis of the mesh file (default: guessed)")
+    sub.add_argument("--forward", choices=_AXES, help="axis of the mesh file (default: guessed)")
 
 
 def _run(sub: argparse.ArgumentParser) -> None:

@@ -245,6 +245,8 @@ def open_run(
         plan.check()  # before anything is forgotten
     was_whole = before.get("whole") is True or has_run(path)
     with RunFolder(path, _configuration(plan, before, whole or was_whole), fresh) as folder:
+        if before and before.get(TASK_FILE) != folder.config.get(TASK_FILE):
+            folder.keep_config()
         yield Run(plan, folder, progress, consent, anew, was_whole)
 
 

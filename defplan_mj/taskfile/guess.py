@@ -8,10 +8,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from defplan_mj.base.errors import DefplanError
@@ -23,18 +21,15 @@ from defplan_mj.body.model import Material, Medium
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.body.orientation import direction, turned
 from defplan_mj.body.surface import Surface, load_mesh
-from defplan_mj.body.tetmesh import TetMesh, boundary, lumped_mass, volumes
+from defplan_mj.body.tetmesh import TetMesh, lumped_mass
 from defplan_mj.dynamics.terrain import STANDARD_GRAVITY
 from defplan_mj.dynamics.world import GROUND
 from defplan_mj.task import GaitTask, Navigation, TaskSpec, Weights
+from defplan_mj.taskfile.look import View, look
 
 MEDIA = ("water", "ground")
-_SAMPLES = 4000  # points of the surface that are mirrored
-_MIRRORED = 0.01  # rms distance of the mirrored surface beyond that of chance, in body lengths
 _ROUND = 0.1  # by how much the two extents across the axis of a round body may differ
-_LEVEL = 0.02  # of the length: a centre of mass this near the middle says nothing
 _COARSE = 800  # vertices
-_Y_UP = (".gltf", ".glb")  # the format says so
 
 
 @dataclass(frozen=True)
@@ -42,12 +37,14 @@ class Rhythm:
     """How long a gait cycle is, in units of the slowest natural period; see `rhythm`.
 
     Attributes:
+        fastest: of the first mode with the control stiffness in a body of 1 m, Hz; stiffer bodies are softened.
         periods: a cycle, in periods of the first mode with the control stiffness.
         steps: control steps in a cycle, at least.
         finest: longest time step, in periods of the last mode with the control stiffness.
         falling: a cycle lasts this many sqrt(height / g) at least, on the ground.
     """
 
+    fastest: float
     periods: float
     steps: int
     finest: float
@@ -55,9 +52,9 @@ class Rhythm:
 
 
 RHYTHMS = {
-    "planar": Rhythm(2.5, 32, 0.56),
-    "spatial": Rhythm(1.4, 18, 0.56),
-    "ground": Rhythm(2.1, 46, 0.56, 2.6),
+    "planar": Rhythm(5.75, 2.5, 32, 0.58),
+    "spatial": Rhythm(3.1, 1.4, 18, 0.58),
+    "ground": Rhythm(np.inf, 2.1, 46, 0.58, 2.6),
 }
 """What the shipped tasks have: the fish, the jellyfish-like swimmer, the 4-legged and the T-shaped walker."""
 _MOST_STEPS = 200
@@ -76,22 +73,6 @@ class Guess:
     sentence: str
 
 
-@dataclass(frozen=True)
-class View:
-    """Which way a mesh looks.
-
-    Attributes:
-        up, forward: axes of the file.
-        mirrors: indices of the file's axes across which it is its own mirror image.
-        why: how that was found, as a clause.
-    """
-
-    up: str
-    forward: str
-    mirrors: tuple[int, ...]
-    why: str
-
-
 def guess_task(
     mesh: str | Path,
     medium: str,
@@ -100,7 +81,6 @@ def guess_task(
     forward: str | None = None,
     name: str | None = None,
     progress: Progress = no_progress,
-    options: BodyOptions | None = None,
 ) -> Guess:
     """Return a task for a mesh that swims in water, or walks on the ground.
 
@@ -109,7 +89,6 @@ def guess_task(
         length: of the body, m; None: 1 m.
         up, forward: axes of the mesh file, e.g. 'z' and '-x'; None: guessed, see `look`.
         name: of the task; None: the mesh's, with '-swim' or '-walk'.
-        options: of the body, apart from these; None: defaults of the medium.
 
     Raises:
         DefplanError: the mesh cannot be used, or an option cannot be.
@@ -125,9 +104,10 @@ def guess_task(
         body = turned(loaded, view.up, view.forward)
         axis = _own_axis(body, view) if medium == "water" else None
         kind = "ground" if medium == "ground" else "planar" if axis is None else "spatial"
-        chosen = _body_options(kind, options, size, view)
+        chosen = dataclasses.replace(BODIES[kind], length=size, up=view.up, forward=view.forward)
         progress("task: finding its natural frequencies", 0.3)
         hertz = _frequencies(body, chosen, str(path))
+    chosen, hertz = softened(kind, chosen, hertz, size)
     height = float(np.ptp(body.vertices[:, 2]))
     timestep, steps = rhythm(kind, hertz, height)
     progress("task: guessed", 1.0)
@@ -146,101 +126,6 @@ def guess_task(
         navigation=_navigation(kind, size),
     )
     return Guess(spec, _sentence(spec, view, kind, hertz, path))
-
-
-# ---- which way it looks
-
-
-def look(
-    mesh: Surface | TetMesh,
-    suffix: str = "",
-    medium: str = "water",
-    up: str | None = None,
-    forward: str | None = None,
-) -> View:
-    """Return which axes of a mesh are up and ahead, as given, or else as follows.
-
-    Left and right are alike: if there is one mirror plane (of the three through the file's axes), up and
-    ahead lie in it. Ahead is the longer of the two, on the side of the centre of mass (tails are thin);
-    the other is up, on its positive side. A walker that would then lie on its side with no wider stand
-    is not found out: say `up`. Without one mirror plane, z is up (in glTF y), and ahead is the longest of
-    the other two.
-    """
-    points, faces, centre = _solid(mesh)
-    extent = np.ptp(points, axis=0)
-    mirrors = tuple(
-        axis for axis in range(3) if _is_mirror(points, faces, centre, axis, extent.max())
-    )
-    given = {name[-1] for name in (up, forward) if name}
-    free = [axis for axis in range(3) if "xyz"[axis] not in given]
-    usual = 1 if suffix in _Y_UP else 2
-    why = []
-    if len(mirrors) == 1 and mirrors[0] in free:
-        free.remove(mirrors[0])
-        why.append(f"it is mirrored across {'xyz'[mirrors[0]]}")
-        usual = min(free, key=lambda axis: extent[axis]) if len(free) == 2 else usual
-        if len(free) == 2 and extent[free[0]] > 0.9 * extent[free[1]] > 0.81 * extent[free[0]]:
-            usual = 2 if 2 in free else 1  # about as high as long: as files have it
-    if up is None:
-        axis = usual if usual in free else max(free)
-        free.remove(axis)
-        up = "xyz"[axis]
-    if forward is None:
-        axis = max(free, key=lambda axis: extent[axis])
-        low, high = points[:, axis].min(), points[:, axis].max()
-        behind = centre[axis] - (low + high) / 2 < -_LEVEL * extent.max()
-        forward = ("-" if behind else "") + "xyz"[axis]
-        why.append(f"longest along {forward[-1]}" if extent[axis] >= extent.max() else "")
-        why.append(
-            "heavier in front"
-            if abs(centre[axis] - (low + high) / 2) > _LEVEL * extent.max()
-            else ""
-        )
-    told = ", ".join(filter(None, why)) or "as given"
-    return View(up, forward, mirrors, told)
-
-
-def _solid(mesh: Surface | TetMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return vertices and triangles of the surface, and the centre of volume (3,)."""
-    if isinstance(mesh, TetMesh):
-        size = volumes(mesh.vertices, mesh.tetrahedra)
-        middle = mesh.vertices[mesh.tetrahedra].mean(1)
-        faces, _ = boundary(mesh.tetrahedra)
-        return mesh.vertices[np.unique(faces)], _renumbered(faces), size @ middle / size.sum()
-    corners = mesh.vertices[mesh.faces]
-    size = np.einsum("ij,ij->i", np.cross(corners[:, 0], corners[:, 1]), corners[:, 2]) / 6
-    return mesh.vertices, mesh.faces, size @ (corners.sum(1) / 4) / size.sum()
-
-
-def _renumbered(faces: np.ndarray) -> np.ndarray:
-    return np.unique(faces, return_inverse=True)[1].reshape(-1, 3)
-
-
-def _is_mirror(
-    vertices: np.ndarray, faces: np.ndarray, centre: np.ndarray, axis: int, length: float
-) -> bool:
-    """Return whether a surface is its own mirror image across the plane through its centre.
-
-    Points drawn on it are mirrored; they have to lie about as near to others drawn on it as these do.
-    """
-    here, there = _drawn(vertices, faces, 0), _drawn(vertices, faces, 1)
-    image = here.copy()
-    image[:, axis] = 2 * centre[axis] - image[:, axis]
-    tree = cKDTree(there)
-    chance, found = tree.query(here)[0], tree.query(image)[0]
-    return bool(np.sqrt((found**2).mean()) < np.sqrt((chance**2).mean()) + _MIRRORED * length)
-
-
-def _drawn(vertices: np.ndarray, faces: np.ndarray, seed: int) -> np.ndarray:
-    """Return points (n, 3) drawn evenly on a surface."""
-    random = np.random.default_rng(seed)
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    chosen = random.choice(len(faces), _SAMPLES, p=area / area.sum())
-    first, second = random.random((2, _SAMPLES, 1))
-    over = first + second > 1
-    first, second = np.where(over, 1 - first, first), np.where(over, 1 - second, second)
-    return a[chosen] + first * (b - a)[chosen] + second * (c - a)[chosen]
 
 
 def _own_axis(body: Surface | TetMesh, view: View) -> tuple[float, float, float] | None:
@@ -273,7 +158,7 @@ def rhythm(kind: str, hertz: Sequence[float] | np.ndarray, height: float) -> tup
     With f the natural frequencies with the control stiffness, which is what the target shape pulls with:
     a cycle is 2.5 / f_1 (a swimmer in the plane), 1.4 / f_1 (in space) or 2.1 / f_1 on the ground, there
     at least 2.6 sqrt(height / g), the time of falling over; 32, 18 and 46 steps a cycle, and more if
-    the last mode would have fewer than 1.8 of them in a period. So have it the shipped tasks: the fish
+    the last mode would have fewer than 1.7 of them in a period. So have it the shipped tasks: the fish
     2.50, the swimmer 1.38, the walkers 2.11 and 2.6. The time step has three digits.
 
     Args:
@@ -286,6 +171,27 @@ def rhythm(kind: str, hertz: Sequence[float] | np.ndarray, height: float) -> tup
     steps = max(rule.steps, int(np.ceil(period * max(hertz) / rule.finest)))
     steps = min(steps, _MOST_STEPS)
     return float(f"{period / steps:.3g}"), steps
+
+
+def softened(
+    kind: str, options: BodyOptions, hertz: np.ndarray, length: float
+) -> tuple[BodyOptions, np.ndarray]:
+    """Return a swimmer's options, softened if its modes are faster than the shipped swimmer's, and its modes, Hz.
+
+    What rights it, and its material's damping, go with time and not with its modes: a stiffer body is
+    tilted before it is righted, and overdamped. Sizes are compared at the same Froude number, that is
+    at frequencies that go with the inverse root of the length. The righting height goes with the length.
+    """
+    medium = options.medium
+    medium = dataclasses.replace(medium, righting_height=medium.righting_height * length)
+    limit = RHYTHMS[kind].fastest / np.sqrt(length)
+    share = min(1.0, (limit / min(hertz)) ** 2)
+    if share == 1.0:
+        return dataclasses.replace(options, medium=medium), hertz
+    young = float(f"{options.material.youngs_modulus * share:.2g}")
+    material = dataclasses.replace(options.material, youngs_modulus=young)
+    faster = np.sqrt(young / options.material.youngs_modulus)
+    return dataclasses.replace(options, medium=medium, material=material), hertz * faster
 
 
 def _frequencies(body: Surface | TetMesh, options: BodyOptions, name: str) -> np.ndarray:
@@ -357,22 +263,22 @@ def _triple(vector: np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _body_options(kind: str, options: BodyOptions | None, length: float, view: View) -> BodyOptions:
-    """Return how the body is built: as the shipped task of its kind is, or as asked for."""
-    kept: dict[str, Any] = {"length": length, "up": view.up, "forward": view.forward}
-    usual = {
-        "planar": BodyOptions(modes=5, basis=31, samples=16, amplitude=2.0),
-        "spatial": BodyOptions(
-            vertices=1500, modes=10, basis=60, samples=24, medium=Medium(righting_height=0.0)
-        ),
-        "ground": BodyOptions(
-            vertices=1500, modes=10, basis=31, drag_error=0.3, amplitude=1.0,
-            material=Material(damping=0.15), medium=GROUND.medium,
-        ),
-    }[kind]  # fmt: skip
-    if options is not None:
-        kept |= {"medium": usual.medium}
-    return dataclasses.replace(options or usual, **kept)
+BODIES = {
+    "planar": BodyOptions(modes=5, basis=31, samples=16, amplitude=2.0),
+    "spatial": BodyOptions(
+        vertices=1500, modes=10, basis=60, samples=24, medium=Medium(righting_height=0.0)
+    ),
+    "ground": BodyOptions(
+        vertices=1500,
+        modes=10,
+        basis=31,
+        drag_error=0.3,
+        amplitude=1.0,
+        material=Material(damping=0.15),
+        medium=GROUND.medium,
+    ),
+}
+"""How bodies are built: about as those of the shipped tasks."""
 
 
 def _weights(kind: str, length: float) -> Weights:
@@ -405,10 +311,13 @@ def _sentence(spec: TaskSpec, view: View, kind: str, hertz: np.ndarray, path: Pa
     """Return what was guessed, in one sentence."""
     stands = "stands on" if kind == "ground" else "is down on"
     down = view.up[1:] if view.up.startswith("-") else f"-{view.up}"
+    young = spec.body.material.youngs_modulus
+    names = ", ".join(task.name for task in spec.gait_tasks)
+    because = f" ({view.why})" if view.why else ""
     rate = f"{hertz.min():.3g} to {hertz.max():.3g} Hz"
     return (
-        f"{path.name}: ahead is {view.forward}, it {stands} its {down} side ({view.why}) and is"
+        f"{path.name}: ahead is {view.forward}, it {stands} its {down} side{because} and is"
         f" {spec.body.length:g} m long (--forward, --up and --length overrule that); it {_DOES[kind]},"
         f" {spec.steps_per_cycle} steps of {spec.timestep:g} s a cycle, from natural frequencies of {rate}"
-        f" with the control stiffness; gaits: {', '.join(task.name for task in spec.gait_tasks)}"
+        f" with the control stiffness and a Young's modulus of {young:g} Pa; gaits: {names}"
     )
