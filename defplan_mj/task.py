@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -144,7 +144,7 @@ class TaskSpec:
     """A task: one body, its gaits and its navigation problem.
 
     Attributes:
-        name: 'domain-task', e.g. 'fish-swim'.
+        name: 'domain-task', e.g. 'fish-swim'; runs lie in a folder of that name.
         description: one line for `defplan list`.
         mesh: path of the mesh file the body is built from.
         body: how it is built.
@@ -164,6 +164,7 @@ class TaskSpec:
         shipped: files of a body and of gaits that are packaged for the task, or None.
         skin: makes the picture that the body wears, see `host.skin.add_skin`; None: a plain one.
         paper: the paper's figures for this example (Tables I to III), for the report.
+        file: the task file that it was read from; None: it is a plugin's.
     """
 
     name: str
@@ -187,6 +188,7 @@ class TaskSpec:
     shipped: tuple[Path, Path] | None = None
     skin: Callable[[], np.ndarray] | None = None
     paper: dict = field(default_factory=dict)
+    file: Path | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         _ = self.world  # medium and terrain have to agree
@@ -201,6 +203,11 @@ class TaskSpec:
         from defplan_mj.dynamics.reduced import ReducedDynamics  # a task is read without the kernel
 
         return ReducedDynamics(body, self.timestep, self.world.terrain, **self.stepping)
+
+    def of_gaits(self, names: Sequence[str]) -> TaskSpec:
+        """Return the task with some of its gait tasks, in this order."""
+        known = {task.name: task for task in self.gait_tasks}
+        return replace(self, gait_tasks=tuple(known[name] for name in names))
 
     def texture(self) -> np.ndarray | None:
         """Return the picture of the skin, or None."""

@@ -16,6 +16,7 @@ from defplan_mj.body.elasticity import linear_modes
 from defplan_mj.body.meshing import fill
 from defplan_mj.body.model import LIMITS, Body
 from defplan_mj.body.options import BodyOptions
+from defplan_mj.body.orientation import turned
 from defplan_mj.body.reduction import reduce_shapes
 from defplan_mj.body.rotation_strain import RotationStrain, feature_map
 from defplan_mj.body.surface import Surface, load_mesh
@@ -67,6 +68,14 @@ def check_options(options: BodyOptions) -> None:
         )
 
 
+def _told(options: BodyOptions) -> dict:
+    """Return options as a body's file keeps them: the axes only if they are not the usual ones."""
+    told = asdict(options)
+    if (options.up, options.forward) == (BodyOptions.up, BodyOptions.forward):
+        del told["up"], told["forward"]
+    return told
+
+
 def build_body(
     mesh_path: str | Path,
     options: BodyOptions | None = None,
@@ -93,8 +102,8 @@ def build_body(
 def _build(path: Path, options: BodyOptions, progress: Progress, name: str) -> Body:
     """Do the work of `build_body`."""
     progress("reading the mesh", 0.0)
-    loaded = load_mesh(path, options.length)
-    source: dict = {"mesh": path.name, "options": asdict(options)}
+    loaded = turned(load_mesh(path, options.length), options.up, options.forward)
+    source: dict = {"mesh": path.name, "options": _told(options)}
     if isinstance(loaded, Surface):
         progress("filling it with tetrahedra", 0.05)
         mesh, cell = fill(loaded, options.vertices, str(path))

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from defplan_mj.body.model import Material, Medium
 
+AXES = ("x", "-x", "y", "-y", "z", "-z")
+"""Of a mesh file."""
+
 
 @dataclass(frozen=True)
 class BodyOptions:
@@ -20,6 +23,7 @@ class BodyOptions:
             as many drag points are taken as it asks for.
         drag_points: at most.
         length: longest extent, m (None: as the mesh file says).
+        up, forward: which axes of the mesh file are the body's z and x: 'x', '-x', 'y', '-y', 'z', '-z'.
         amplitude: largest |q_i| the reduction is sampled at and gaits may ask for.
         material, medium: see their classes.
     """
@@ -34,3 +38,5 @@ class BodyOptions:
     amplitude: float = 1.5
     material: Material = Material()
     medium: Medium = Medium()
+    up: str = "z"
+    forward: str = "x"

@@ -40,15 +40,18 @@ def body(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _what(arguments: argparse.Namespace) -> tuple[Path, BodyOptions, str]:
-    """Return mesh, options and name of the body: MESH is a file, or else a task's name."""
-    from defplan_mj import registry
+    """Return mesh, options and name of the body: MESH is a mesh, or a task's file or name."""
     from defplan_mj.task import BodyOptions
+    from defplan_mj.taskfile.find import find_task, is_file
 
     mesh, options = Path(arguments.mesh), BodyOptions()
     name = mesh.stem
-    if not mesh.exists() and not mesh.suffix and mesh.parent == Path():
+    if is_file(arguments.mesh):
+        spec = find_task(arguments.mesh)
+        mesh, options, name = spec.mesh, spec.body, spec.mesh.stem
+    elif not mesh.exists() and not mesh.suffix and mesh.parent == Path():
         try:
-            spec = registry.get_task(arguments.mesh)
+            spec = find_task(arguments.mesh)
         except DefplanError as error:
             raise DefplanError(f"mesh file {mesh} does not exist, and {error}") from error
         mesh, options, name = spec.mesh, spec.body, spec.mesh.stem

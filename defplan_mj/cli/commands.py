@@ -20,6 +20,7 @@ from defplan_mj.cli.text import (
     planner_text,
     robustness_text,
     run_text,
+    skills_text,
     surrogate_text,
 )
 
@@ -85,8 +86,15 @@ def _left(rows: list[list[str]]) -> str:
 
 
 def run(arguments: argparse.Namespace, console: Console) -> int:
-    """Do everything from the mesh to the report."""
+    """Do everything from the mesh to the report; of a mesh, write its task file first."""
+    from defplan_mj.cli.new import refuse_guessing, task_of_mesh
     from defplan_mj.pipeline.results import run_results
+    from defplan_mj.taskfile.find import is_mesh
+
+    if is_mesh(arguments.task):
+        arguments.task = str(task_of_mesh(arguments, console))
+    else:
+        refuse_guessing(arguments)
 
     chosen = {
         "gait_solver": arguments.gait_solver,
@@ -111,7 +119,8 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
 def gait(arguments: argparse.Namespace, console: Console) -> int:
     """Optimise the task's gaits, and say what they do."""
     data = _make(arguments, console, "gait", "gait.npz", gait_solver=arguments.gait_solver)
-    console.result(data, f"{data['file']}, {data['seconds']:.1f} s\n{gait_text(data)}")
+    text = "\n\n".join(filter(None, [gait_text(data), skills_text(data.get("skills", []))]))
+    console.result(data, f"{data['file']}, {data['seconds']:.1f} s\n{text}")
     return 0
 
 
@@ -126,9 +135,12 @@ def _make(
     arguments: argparse.Namespace, console: Console, stage: str, file: str, **chosen: Any
 ) -> dict[str, Any]:
     """Make one stage; return its figures, seconds and file."""
+    from defplan_mj.pipeline.making import skills
+
     with _stage(arguments, console, stage, **chosen) as run:
         run.do(stage)
-        return {**run.figures(stage), "seconds": run.seconds(stage), "file": run.file(file)}
+        told = {"skills": skills(run)} if stage == "gait" and skills(run) else {}
+        return {**run.figures(stage), **told, "seconds": run.seconds(stage), "file": run.file(file)}
 
 
 def planner(arguments: argparse.Namespace, console: Console) -> int:
@@ -170,7 +182,7 @@ def evaluate(arguments: argparse.Namespace, console: Console) -> int:
             log=log,
         )
     data = {
-        "task": arguments.task,
+        "task": run.plan.spec.name,
         "seed": arguments.seed,
         "planner": run.plan.planner.name,
         "feedback": run.plan.feedback.name,
@@ -184,10 +196,10 @@ def evaluate(arguments: argparse.Namespace, console: Console) -> int:
 
 def robustness(arguments: argparse.Namespace, console: Console) -> int:
     """Switch a task's gaits at random in worlds that are not the model's, with each feedback."""
-    from defplan_mj import registry
     from defplan_mj.pipeline.robustness import robustness as stage_of
+    from defplan_mj.taskfile.find import find_task
 
-    spec = registry.get_task(arguments.task)
+    spec = find_task(arguments.task)
     stage = stage_of(spec, arguments.feedback or (), arguments.cycles, arguments.push)
     with _stage(arguments, console, "robustness") as run:
         run.do(stage)
@@ -199,10 +211,10 @@ def robustness(arguments: argparse.Namespace, console: Console) -> int:
 
 def check(arguments: argparse.Namespace, console: Console) -> int:
     """Play a task's gaits with finer steps and through the full FEM, and say what changes."""
-    from defplan_mj import registry
     from defplan_mj.studies.check import check_gaits, packaged_robot, robot_of_run
+    from defplan_mj.taskfile.find import find_task
 
-    spec = registry.get_task(arguments.task)
+    spec = find_task(arguments.task)
     folder = arguments.run
     robot = packaged_robot(spec) if folder is None else robot_of_run(spec, folder)
     with console.progress() as progress:
@@ -254,11 +266,11 @@ def _open(
         anew: stages that are made even if they could be used again.
         chosen: fields of `RunOptions`; None: as the run in the folder was asked for.
     """
-    from defplan_mj import registry
     from defplan_mj.pipeline.outlook import Consent
     from defplan_mj.pipeline.run import open_run
+    from defplan_mj.taskfile.find import find_task
 
-    spec = registry.get_task(arguments.task)
+    spec = find_task(arguments.task)
     fresh = whole and arguments.fresh
     consent = Consent(arguments.remake, console.say, console.asker())
     with open_run(

@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import difflib
 import math
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from defplan_mj import __version__
-from defplan_mj.cli import body, commands, logs
+from defplan_mj.cli import body, commands, logs, new
+
+_AXES = ("x", "-x", "y", "-y", "z", "-z")
 
 RENAMED = {"--rival": "--compare-with", "--solver": "--gait-solver"}
 """Names that options had in earlier versions."""
@@ -48,10 +51,22 @@ class Parser(argparse.ArgumentParser):
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """Parse `argv`; the function that runs the command is in `command`."""
-    arguments, rest = build().parse_known_args(argv)
+    words = _joined(sys.argv[1:] if argv is None else argv)
+    arguments, rest = build().parse_known_args(words)
     if rest:
         arguments.parser.refuse(rest)
     return arguments
+
+
+def _joined(argv: Sequence[str]) -> list[str]:
+    """Return words of which '--up -x' is one: argparse would take the axis for an option."""
+    words: list[str] = []
+    for word in argv:
+        if words and words[-1] in ("--up", "--forward") and word in _AXES:
+            words[-1] += f"={word}"
+        else:
+            words.append(word)
+    return words
 
 
 def build() -> argparse.ArgumentParser:
@@ -60,7 +75,8 @@ def build() -> argparse.ArgumentParser:
         prog="defplan",
         description="Motion planning for soft robots: from a mesh file to a planned, logged and "
         "reported run.",
-        epilog="TASK is 'domain-task', e.g. fish-swim; `defplan list` names all that are installed.",
+        epilog="TASK is a task file (.toml, `defplan new` writes one) or 'domain-task', e.g. fish-swim;"
+        " `defplan list` names all that are installed.",
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"defplan {__version__}")
@@ -90,6 +106,7 @@ def build() -> argparse.ArgumentParser:
             True,
         )
     )
+    _new(add("new", new.new, "write a task file, guessed from a mesh or copied from a task"))
     _body(add("body", body.body, "build a soft body from a mesh file"))
     _gait(add("gait", commands.gait, "optimise a task's gaits"))
     _surrogate(add("surrogate", commands.surrogate, "fit the rigid surrogate to a task's gaits"))
@@ -112,8 +129,32 @@ def _list(sub: argparse.ArgumentParser) -> None:
     _common(sub)
 
 
+def _new(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("mesh", metavar="MESH", nargs="?", help="mesh file to guess a task for")
+    sub.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="to write (default: NAME.toml)"
+    )
+    sub.add_argument("--from", dest="origin", metavar="TASK", help="copy this task instead")
+    sub.add_argument("--overwrite", action="store_true", help="if the file is there")
+    _guessing(sub)
+    _common(sub)
+
+
+def _guessing(sub: argparse.ArgumentParser) -> None:
+    """Add what a task is guessed from, besides its mesh."""
+    sub.add_argument("--medium", choices=("water", "ground"), help="what a mesh moves in, or on")
+    sub.add_argument("--length", type=_positive, metavar="M", help="longest extent (default: 1 m)")
+    sub.add_argument("--up", choices=_AXES, help="axis of the mesh file (default: guessed)")
+    sub.add_argument("--forward", choices=_AXES, help="axis of the mesh file (default: guessed)")
+
+
 def _run(sub: argparse.ArgumentParser) -> None:
-    _task(sub)
+    sub.add_argument(
+        "task",
+        metavar="TASK",
+        help="e.g. fish-swim, see `defplan list`; or a task file (.toml), or a mesh with --medium",
+    )
+    _guessing(sub)
     _stage(sub)
     sub.add_argument("--gait-solver", metavar="NAME", help="(default: the run's or task's)")
     sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
@@ -314,7 +355,9 @@ def _feedback(sub: argparse.ArgumentParser) -> None:
 
 
 def _task(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("task", metavar="TASK", help="e.g. fish-swim; see `defplan list`")
+    sub.add_argument(
+        "task", metavar="TASK", help="e.g. fish-swim, see `defplan list`; or a task file (.toml)"
+    )
 
 
 def _stage(sub: argparse.ArgumentParser) -> None:

@@ -18,6 +18,7 @@ def run_text(data: dict[str, Any]) -> str:
         [
             f"{data['task']}, seed {data['seed']}: {seconds['total']:.1f} s ({stages})",
             *(text for text in texts if text),
+            *filter(None, [skills_text(data.get("skills", []))]),
             f"report  {data['files']['report']}\nlog     {data['files']['log']}",
         ]
     )
@@ -71,6 +72,22 @@ def gait_text(data: dict[str, Any]) -> str:
     title = f"Gaits, switched at random: {switching['falls']} falls in {switching['cycles']} cycles"
     columns = ["gait", "advance, m (sd)", "drift, m (sd)", "turn, rad (sd)"]
     return table(columns, rows, title)
+
+
+def skills_text(skills: list[dict[str, Any]]) -> str:
+    """Return what was wanted of each gait, what it does, and which were dropped; nothing if not judged."""
+    rows = []
+    for skill in skills:
+        wanted, got = skill["wanted"], skill["got"]
+        kept = "kept" if skill["kept"] else "dropped"
+        rows.append([skill["name"], *(f"{wanted[k]:.2f}" for k in ("advance_m", "turn_rad"))])
+        rows[-1] += ["-" if got[k] is None else f"{got[k]:.2f}" for k in ("advance_m", "turn_rad")]
+        rows[-1] += [f"{got['falls']} of {got['cycles']}", kept]
+    if not rows:
+        return ""
+    columns = ["gait", "wanted, m", "wanted, rad", "does, m", "does, rad", "falls", ""]
+    failed = [f"{skill['name']} {skill['fault']}" for skill in skills if not skill["kept"]]
+    return "\n".join([table(columns, rows, "Gaits, judged"), *failed])
 
 
 def surrogate_text(data: dict[str, Any]) -> str:

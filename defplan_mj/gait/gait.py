@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,13 @@ class Gait:
     def cycle_seconds(self) -> float:
         """Duration of one cycle, s."""
         return self.steps_per_cycle * self.timestep
+
+    def of_tasks(self, names: Sequence[str]) -> Gait:
+        """Return the gaits of some of the tasks."""
+        chosen = [self.task_names.index(name) for name in names]
+        return replace(
+            self, task_names=tuple(names), alpha=self.alpha[chosen], beta=self.beta[chosen]
+        )
 
     def table(self) -> np.ndarray:
         """Return the (K, steps_per_cycle, r) target shapes; entry i is DMP((i + 1) timestep), clipped."""

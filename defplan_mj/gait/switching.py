@@ -88,9 +88,14 @@ class Switching:
         return self.counted & ((goes & (self.advance <= 0)) | (turns & (turned <= 0)))
 
     @property
+    def fell(self) -> np.ndarray:
+        """(cycles,) cycles that tilt past 30 degrees or come down."""
+        return (self.tilt > MAX_TILT) | self.down
+
+    @property
     def falls(self) -> int:
         """Cycles that tilt past 30 degrees or come down, or that go or turn the wrong way."""
-        return int(((self.tilt > MAX_TILT) | self.down | self.wrong_way).sum())
+        return int((self.fell | self.wrong_way).sum())
 
     def rows(self) -> list[dict]:
         """Return a row a task: its name, and of its cycles the means and standard deviations.

@@ -54,7 +54,8 @@ def _measure_own(run: Run, solver: Any, seed: int) -> Iterable[Path]:
     """Measure the run's own gaits."""
     path, row = _row_file(run, solver, seed), {"name": solver.name, "seed": seed}
     try:
-        row |= measure(gait_problem(run), run.result("gait"), run.seconds("gait"))
+        gait = run.result("gait")
+        row |= measure(gait_problem(run, gait), gait, run.seconds("gait"))
     except DefplanError as error:  # the gait cannot be simulated
         row["error"] = str(error)
     write_json(path, row)

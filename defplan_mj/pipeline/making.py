@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from defplan_mj.base import files, threads
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.pipeline.provenance import file_hash, plugin_data
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import write_json
@@ -21,12 +22,14 @@ if TYPE_CHECKING:
     from defplan_mj.dynamics.reduced import ReducedDynamics
     from defplan_mj.gait.gait import Gait
     from defplan_mj.gait.problem import GaitProblem
+    from defplan_mj.gait.switching import Switching
     from defplan_mj.pipeline.run import Run
     from defplan_mj.planning.planner import Planner
     from defplan_mj.planning.surrogate import Surrogate
 
 BODY_FILE, GAIT_FILE, SURROGATE_FILE = "body.npz", "gait.npz", "surrogate.npz"
 SWITCHING_FILE = "gait.json"
+TRIED_FILE, SKILLS_FILE = "gait-tried.npz", "skills.json"
 TRAINING_VERSION = 1
 
 
@@ -66,11 +69,12 @@ def dynamics(run: Run) -> ReducedDynamics:
     return run.plan.spec.dynamics(run.result("body"))
 
 
-def gait_problem(run: Run) -> GaitProblem:
-    """Return Eq. 1 for the run's body."""
+def gait_problem(run: Run, gait: Gait | None = None) -> GaitProblem:
+    """Return Eq. 1 for the run's body: of all its tasks, or of those that a gait has."""
     from defplan_mj.gait.problem import GaitProblem
 
-    return GaitProblem.of(run.plan.spec, dynamics(run))
+    spec = run.plan.spec
+    return GaitProblem.of(spec if gait is None else spec.of_gaits(gait.task_names), dynamics(run))
 
 
 def solve_gait(run: Run, solver: Any, stage: str, seed: int) -> Gait:
@@ -81,7 +85,10 @@ def solve_gait(run: Run, solver: Any, stage: str, seed: int) -> Gait:
 
 def gait_inputs(run: Run, solver: Any, seed: int) -> dict[str, Any]:
     """Return all that gaits depend on besides the body."""
+    from defplan_mj.gait.skills import VERSION
+
     return {
+        **({"judged": VERSION} if is_judged(run) else {}),
         "options": {"gait_solver": solver.name, "seed": seed},
         "plugins": {"gait_solver": plugin_data(solver)},
         "task": _gait_task(run),
@@ -109,11 +116,75 @@ def _make_gait(run: Run) -> Iterable[Path]:
     from defplan_mj.gait.switching import evaluate_switching
 
     path, switching, seed = run.file(GAIT_FILE), run.file(SWITCHING_FILE), run.plan.options.seed
+    others: list[Path] = []
     gait = solve_gait(run, run.plan.gait_solver, "gait", seed)
-    gait.save(path)
     measured = evaluate_switching(gait_problem(run), gait, SWITCHING_CYCLES, seed)
+    if is_judged(run):
+        gait, measured, others = _choose(run, gait, measured)
+    gait.save(path)
     write_json(switching, {"gait": measured.to_json()})
-    return [path, switching]
+    return [path, switching, *others]
+
+
+def is_judged(run: Run) -> bool:
+    """Return whether the run's gaits are judged: those of task files are, nobody has looked at them."""
+    return run.plan.spec.file is not None
+
+
+def _choose(run: Run, gait: Gait, measured: Switching) -> tuple[Gait, Switching, list[Path]]:
+    """Judge gaits and drop those that failed; if the others cannot steer, keep all of them.
+
+    Returns:
+        The gaits, what they do when these are switched, and the files with the verdicts.
+    """
+    from defplan_mj.gait.skills import can_steer, faults, judge
+    from defplan_mj.gait.switching import evaluate_switching
+
+    spec, seed = run.plan.spec, run.plan.options.seed
+    verdicts = {skill.name: skill for skill in judge(measured)}
+    tried, chosen, seen = gait, gait, measured
+    while True:  # without those that failed the others may do otherwise
+        names = [name for name in chosen.task_names if verdicts[name].kept]
+        left = spec.of_gaits(names).gait_tasks
+        steers = not faults(verdicts.values()) or can_steer(left, spec.navigation.space, spec.axis)
+        if not steers or len(names) == len(chosen.task_names):
+            break
+        chosen = gait.of_tasks(names)
+        seen = evaluate_switching(gait_problem(run, chosen), chosen, SWITCHING_CYCLES, seed)
+        verdicts |= {skill.name: skill for skill in judge(seen)}
+    found, others = list(verdicts.values()), [run.file(SKILLS_FILE)]
+    document = {"steers": steers, "skills": [skill.to_json() for skill in found]}
+    write_json(run.file(SKILLS_FILE), document)
+    if not steers:
+        return gait, measured, others
+    if faults(found):
+        tried.save(run.file(TRIED_FILE))
+        others.append(run.file(TRIED_FILE))
+        run.consent.say(f"dropped: {faults(found)}; it goes on with {', '.join(names)}")
+    return chosen, seen, others
+
+
+def skills(run: Run) -> list[dict[str, Any]]:
+    """Return what was wanted of each gait, what it does and whether it was kept; empty if not judged."""
+    return _verdicts(run)["skills"] if is_judged(run) and run.is_done("gait") else []
+
+
+def _verdicts(run: Run) -> dict[str, Any]:
+    return json.loads(run.file(SKILLS_FILE).read_text(encoding="utf-8"))
+
+
+def _require_steering(run: Run) -> None:
+    """Raise a DefplanError if the gaits that do what they are called cannot steer."""
+    if not is_judged(run) or _verdicts(run)["steers"]:
+        return
+    told = _verdicts(run)["skills"]
+    failed = "; ".join(f"{skill['name']} {skill['fault']}" for skill in told if not skill["kept"])
+    left = ", ".join(skill["name"] for skill in told if skill["kept"]) or "none"
+    raise DefplanError(
+        f"{run.plan.spec.name}: these gaits cannot steer, so nothing is trained: {failed or 'none failed'};"
+        f" what is left: {left}. Change gait_tasks, the time step or the material in"
+        f" {run.plan.spec.file}, or try another --gait-solver or --seed"
+    )
 
 
 def _load_gait(run: Run) -> Gait:
@@ -136,6 +207,7 @@ GAIT = Stage(
     figures=_gait_figures,
     sections=("gaits",),
     timed=True,
+    require=_require_steering,
 )
 
 

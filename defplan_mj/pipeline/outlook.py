@@ -96,10 +96,16 @@ def _refusal(outlook: Outlook, folder: str) -> str:
     )
 
 
-def why_anew(was: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[str, bool]:
+def why_anew(
+    was: Mapping[str, Any], now: Mapping[str, Any], of_file: bool = False
+) -> tuple[str, bool]:
     """Return why a stage made from `was` is to be made anew from `now`, and whether to ask first.
 
-    What the user has edited, a plugin or a task, is meant to have its effect; an option may be a slip.
+    What the user has edited, a plugin or its task, is meant to have its effect; an option may be a slip,
+    and so may be a field of a task file.
+
+    Args:
+        of_file: the task is a file's.
     """
     if not was:
         return _ANOTHER_VERSION, True
@@ -110,8 +116,27 @@ def why_anew(was: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[str, bool]
             f"{n} is {_value_text(new.get(n))}, was {_value_text(old.get(n))}" for n in options
         )
         return values, True
+    fields = _differences(_group(was, "task"), _group(now, "task"))
+    if of_file and fields and not _changed(was, now, "plugins"):
+        return ", ".join(fields), True
     reason = _other_reason(was, now)
     return reason, reason == _ANOTHER_VERSION
+
+
+def _differences(was: Mapping[str, Any], now: Mapping[str, Any], before: str = "") -> list[str]:
+    """Return what differs between the fields of a task, table by table."""
+    told = []
+    for name in [*now, *(name for name in was if name not in now)]:
+        old, new = was.get(name), now.get(name)
+        if old == new:
+            continue
+        if isinstance(old, Mapping) and isinstance(new, Mapping):
+            told += _differences(old, new, f"{before}{name}.")
+        elif any(isinstance(value, Mapping | list) for value in (old, new)):
+            told.append(f"{before}{name} changed")
+        else:
+            told.append(f"{before}{name} is {_value_text(new)}, was {_value_text(old)}")
+    return told
 
 
 def _other_reason(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from defplan_mj.pipeline.making import BODY_FILE, GAIT_FILE, policy_file
+from defplan_mj.pipeline.making import (
+    BODY_FILE,
+    GAIT_FILE,
+    is_judged,
+    policy_file,
+    skills,
+)
 from defplan_mj.pipeline.run import Run
 from defplan_mj.pipeline.stages import STAGES
 
@@ -19,6 +25,7 @@ def run_results(run: Run) -> dict[str, Any]:
         "seed": run.plan.options.seed,
         "seconds": {**seconds, "total": run.total_seconds()},
         **{name: value for name, value in figures.items() if value is not None},
+        **({"skills": skills(run)} if is_judged(run) else {}),
         "moving": figures.get("moving", []),
         "files": _files(run),
     }

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.pipeline.outlook import UNASKED, Anew, Consent, Outlook, why_anew
 from defplan_mj.pipeline.plan import CONFIGURATION, Plan, RunOptions, kept_options
@@ -17,6 +18,9 @@ from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.stages import STAGES
 from defplan_mj.pipeline.store import Record, RunFolder, has_run, input_hash, read_config
 from defplan_mj.task import TaskSpec
+
+TASK_FILE = "task_file"
+"""What run.json calls the file of its task."""
 
 
 class Run:
@@ -77,6 +81,8 @@ class Run:
             self.do("report")
 
     def _do(self, stage: Stage) -> None:
+        for name in self._needs(stage):
+            self._stages[name].require(self)
         before = {name: self._done[name].contents for name in self._needs(stage)}
         inputs = self._inputs(stage, before)
         fresh = stage.name in self.anew
@@ -129,7 +135,8 @@ class Run:
         if record.inputs == input_hash(inputs):
             whole = self.folder.whole(self._key(stage))
             return None if whole else Anew(stage.name, "its files are missing or damaged")
-        reason, asks = why_anew(record.made_from, inputs)
+        of_file = self.plan.spec.file is not None
+        reason, asks = why_anew(record.made_from, inputs, of_file)
         return Anew(stage.name, reason, asks and stage.guarded)
 
     def _before(self, stage: Stage, record: Record, moved: set[str]) -> dict[str, Any]:
@@ -226,10 +233,11 @@ def open_run(
         consent, anew: see `Run`.
 
     Raises:
-        DefplanError: the folder is in use or cannot be written.
+        DefplanError: the folder is in use or cannot be written, or another task's of the same name.
     """
     path = logs / f"{spec.name}-seed{seed}"
     before = read_config(path)
+    _check_task(path, spec, before, consent, fresh)
     given = {name: value for name, value in chosen.items() if value is not None}
     kept = kept_options(before)
     plan = Plan(spec, RunOptions(seed=seed, **{**({} if whole else kept), **given}))
@@ -237,13 +245,45 @@ def open_run(
         plan.check()  # before anything is forgotten
     was_whole = before.get("whole") is True or has_run(path)
     with RunFolder(path, _configuration(plan, before, whole or was_whole), fresh) as folder:
+        if before and before.get(TASK_FILE) != folder.config.get(TASK_FILE):
+            folder.keep_config()
         yield Run(plan, folder, progress, consent, anew, was_whole)
+
+
+def _check_task(
+    path: Path, spec: TaskSpec, before: Mapping[str, Any], consent: Consent, fresh: bool
+) -> None:
+    """Make sure that a folder is not shared by two tasks of one name, unless that is agreed to."""
+    told = before.get(TASK_FILE)
+    there = Path(told) if isinstance(told, str) else None
+    moved = there is not None and not there.is_file()
+    if not before or moved or _same(there, spec.file) or fresh or consent.remake:
+        return
+    other = f"the installed task {spec.name}" if there is None else f"the task file {there}"
+    own = "the installed task" if spec.file is None else str(spec.file)
+    sentence = f"{path} holds a run of {other}, not of {own}"
+    if consent.ask is None:
+        raise DefplanError(
+            f"{sentence}: choose another --logs or another name in the file, or add --remake to"
+            " take the folder over"
+        )
+    if not consent.ask(f"{sentence}. Take the folder over?"):
+        raise DefplanError(f"nothing in {path} was changed")
+
+
+def _same(one: Path | None, other: Path | None) -> bool:
+    """Return whether two tasks are of one file, or both of none."""
+    if one is None or other is None:
+        return one is other
+    return one == other or (other.exists() and one.samefile(other))
 
 
 def _configuration(plan: Plan, before: Mapping[str, Any], whole: bool) -> dict[str, Any]:
     """Return what run.json says the run was asked for."""
     config: dict[str, Any] = {"task": plan.spec.name, "seed": plan.options.seed}
     config |= {name: getattr(plan.options, name) for name in CONFIGURATION}
+    if plan.spec.file is not None:
+        config[TASK_FILE] = str(plan.spec.file)
     config["whole"] = whole
     if not whole:  # what is tried beside the run's own does not take its place
         config |= {name: kept_options(before).get(name) for name in ("planner", "feedback")}

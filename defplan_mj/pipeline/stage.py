@@ -44,6 +44,7 @@ class Stage:
         guarded: it is not made anew for another option unless that is agreed to: it takes long, or
             something that takes long follows from it.
         timed: its seconds are in the JSON of a run.
+        require: raises a DefplanError if nothing can be made from what it made.
     """
 
     name: str
@@ -58,3 +59,4 @@ class Stage:
     key: Callable[[Run], str] | None = None
     guarded: bool = True
     timed: bool = False
+    require: Callable[[Run], Any] = _nothing

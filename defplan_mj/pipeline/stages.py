@@ -31,6 +31,7 @@ def _report_inputs(run: Run) -> dict[str, Any]:
             if path.name != RUN_FILE
         },
         "config": folder.config,
+        **({"file": _task_text(run)} if run.plan.spec.file is not None else {}),
         "seconds": {
             key: record.seconds for key, record in folder.records.items() if key != "report"
         },
@@ -40,7 +41,25 @@ def _report_inputs(run: Run) -> dict[str, Any]:
 def _make_report(run: Run) -> Iterable[Path]:
     from defplan_mj.report.report import write_report
 
-    return [write_report(run.folder.path, run.progress_of("report"))]
+    copy = _copy_task(run)
+    return [*copy, write_report(run.folder.path, run.progress_of("report"))]
+
+
+def _copy_task(run: Run) -> list[Path]:
+    """Keep the task in the run's folder if it is a file's, as the report reads it and as it was."""
+    from defplan_mj.taskfile.find import COPY
+    from defplan_mj.taskfile.write import write_task
+
+    spec = run.plan.spec
+    return [] if spec.file is None else [write_task(spec, run.file(COPY))]
+
+
+def _task_text(run: Run) -> str:
+    """Return what the copy says."""
+    from defplan_mj.taskfile.find import COPY
+    from defplan_mj.taskfile.write import task_text
+
+    return task_text(run.plan.spec, run.file(COPY))
 
 
 REPORT = Stage(

@@ -139,6 +139,10 @@ class RunFolder:
         self._write()
         return made
 
+    def keep_config(self) -> None:
+        """Write what the run is asked for now, whatever is made of it."""
+        self._write()
+
     def seconds(self, name: str) -> float:
         """Return the wall time a stage took, in this run or in the one that made it; 0: no such."""
         return self.records[name].seconds if name in self.records else 0.0

@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.files import archive_meta
 from defplan_mj.base.space import PLANE, SPACE
@@ -23,6 +22,7 @@ from defplan_mj.log.recorder import PARTIAL_SUFFIX
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.report.content import Missing
 from defplan_mj.task import TaskSpec
+from defplan_mj.taskfile.find import task_of_run
 
 _T = TypeVar("_T")
 
@@ -85,9 +85,9 @@ class Material:
 
     @cached_property
     def spec(self) -> TaskSpec | None:
-        """The task itself, if it is installed here."""
+        """The task itself, if the folder keeps it or it is installed here."""
         try:
-            return registry.get_task(self.task)
+            return task_of_run(self.folder, self.task)
         except DefplanError:
             return None
 

@@ -124,7 +124,7 @@ def check_gaits(
     if finer:
         _compare_finer(spec, robot, rows, progress)
     errors = body.source.get("frequencies", {}).get("error", [])[:3]
-    problem = GaitProblem.of(spec, kinds["refined"][0])
+    problem = GaitProblem.of(spec.of_gaits(gait.task_names), kinds["refined"][0])
     problem.steps_per_cycle = divided.steps_per_cycle
     progress("check: switching", 1.0)
     falls = evaluate_switching(problem, divided, switched, seed).falls if robot.world.walks else 0

@@ -80,3 +80,18 @@ def unreduced_body(
         drag_areas=np.zeros(0),
         surface=np.unique(faces),
     )
+
+
+def finned(backed: bool = True) -> trimesh.Trimesh:
+    """Return an ellipsoid, 1 m long, whose end is drawn out to a tail fin: x ahead, z up.
+
+    Args:
+        backed: it has more of a back than of a belly.
+    """
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
+    points = ball.vertices * [1.0, 0.16, 0.3]
+    tail = np.clip((0.1 - points[:, 0]) / 0.6, 0.0, 1.0)
+    points[:, 2] *= 1 + 1.5 * tail**2
+    points[:, 1] *= 1 - 0.85 * tail
+    points[:, 2] *= np.where(points[:, 2] > 0, 1.5, 0.6) if backed else 1.0
+    return trimesh.Trimesh(points, ball.faces, process=False)

@@ -1,0 +1,57 @@
+"""The one place that turns what a user names a task by, its name or its file, into the task."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from defplan_mj import registry
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.body.surface import SURFACE_FORMATS, TETRAHEDRAL_FORMATS
+from defplan_mj.task import TaskSpec
+from defplan_mj.taskfile.read import read_task
+
+SUFFIX = ".toml"
+COPY = "task.toml"
+"""A run's folder keeps its task under this name, if that is a file's."""
+MESHES = SURFACE_FORMATS + TETRAHEDRAL_FORMATS
+
+
+def is_file(name: str) -> bool:
+    """Return whether a task is named by its file."""
+    return Path(name).suffix.lower() == SUFFIX
+
+
+def is_mesh(name: str) -> bool:
+    """Return whether this names a mesh."""
+    return Path(name).suffix.lower() in MESHES
+
+
+def task_of_run(folder: Path, name: str) -> TaskSpec:
+    """Return the task of a run: what its folder keeps, else the installed one of that name.
+
+    Raises:
+        DefplanError: there is neither, or it is damaged.
+    """
+    copy = folder / COPY
+    return read_task(copy, mesh_needed=False) if copy.is_file() else registry.get_task(name)
+
+
+def find_task(name: str) -> TaskSpec:
+    """Return the task of a file (*.toml) or of a plugin's name.
+
+    Raises:
+        DefplanError: there is none, or something in the file cannot be.
+    """
+    if is_file(name):
+        return read_task(name)
+    if is_mesh(name):
+        raise DefplanError(
+            f"{name} is a mesh and no task: `defplan new {name} --medium water -o FILE.toml`"
+            " writes a task file for it"
+        )
+    try:
+        return registry.get_task(name)
+    except DefplanError as error:
+        if Path(name).is_file():
+            raise DefplanError(f"{name} is no task file: such a file ends in {SUFFIX}") from error
+        raise

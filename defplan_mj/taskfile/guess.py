@@ -1,0 +1,323 @@
+"""A task for any mesh: which way it looks, its time step and period, its gaits; each guess is said."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.body.convergence import stiffness_correction
+from defplan_mj.body.elasticity import linear_modes
+from defplan_mj.body.meshing import fill
+from defplan_mj.body.model import Material, Medium
+from defplan_mj.body.options import BodyOptions
+from defplan_mj.body.orientation import direction, turned
+from defplan_mj.body.surface import Surface, load_mesh
+from defplan_mj.body.tetmesh import TetMesh, lumped_mass
+from defplan_mj.dynamics.terrain import STANDARD_GRAVITY
+from defplan_mj.dynamics.world import GROUND
+from defplan_mj.task import GaitTask, Navigation, TaskSpec, Weights
+from defplan_mj.taskfile.look import View, look
+
+MEDIA = ("water", "ground")
+_ROUND = 0.1  # by how much the two extents across the axis of a round body may differ
+_COARSE = 800  # vertices
+
+
+@dataclass(frozen=True)
+class Rhythm:
+    """How long a gait cycle is, in units of the slowest natural period; see `rhythm`.
+
+    Attributes:
+        fastest: of the first mode with the control stiffness in a body of 1 m, Hz; stiffer bodies are softened.
+        periods: a cycle, in periods of the first mode with the control stiffness.
+        steps: control steps in a cycle, at least.
+        finest: longest time step, in periods of the last mode with the control stiffness.
+        falling: a cycle lasts this many sqrt(height / g) at least, on the ground.
+    """
+
+    fastest: float
+    periods: float
+    steps: int
+    finest: float
+    falling: float = 0.0
+
+
+RHYTHMS = {
+    "planar": Rhythm(5.75, 2.5, 32, 0.58),
+    "spatial": Rhythm(3.1, 1.4, 18, 0.58),
+    "ground": Rhythm(np.inf, 2.1, 46, 0.58, 2.6),
+}
+"""What the shipped tasks have: the fish, the jellyfish-like swimmer, the 4-legged and the T-shaped walker."""
+_MOST_STEPS = 200
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A task guessed for a mesh.
+
+    Attributes:
+        spec: the task.
+        sentence: what was guessed, for people.
+    """
+
+    spec: TaskSpec
+    sentence: str
+
+
+def guess_task(
+    mesh: str | Path,
+    medium: str,
+    length: float | None = None,
+    up: str | None = None,
+    forward: str | None = None,
+    name: str | None = None,
+    progress: Progress = no_progress,
+) -> Guess:
+    """Return a task for a mesh that swims in water, or walks on the ground.
+
+    Args:
+        medium: 'water' or 'ground'.
+        length: of the body, m; None: 1 m.
+        up, forward: axes of the mesh file, e.g. 'z' and '-x'; None: guessed, see `look`.
+        name: of the task; None: the mesh's, with '-swim' or '-walk'.
+
+    Raises:
+        DefplanError: the mesh cannot be used, or an option cannot be.
+    """
+    if medium not in MEDIA:
+        raise DefplanError(f"there is no medium {medium}: it is water or ground")
+    path = Path(os.path.abspath(mesh))
+    size = 1.0 if length is None else length
+    progress("task: reading the mesh", 0.0)
+    with threadpool_limits(limits=1):
+        loaded = load_mesh(path, size)
+        view = look(loaded, path.suffix.lower(), medium, up, forward)
+        body = turned(loaded, view.up, view.forward)
+        axis = _own_axis(body, view) if medium == "water" else None
+        kind = "ground" if medium == "ground" else "planar" if axis is None else "spatial"
+        chosen = dataclasses.replace(BODIES[kind], length=size, up=view.up, forward=view.forward)
+        progress("task: finding its natural frequencies", 0.3)
+        hertz = _frequencies(body, chosen, str(path))
+    chosen, hertz = softened(kind, chosen, hertz, size)
+    height = float(np.ptp(body.vertices[:, 2]))
+    timestep, steps = rhythm(kind, hertz, height)
+    progress("task: guessed", 1.0)
+    spec = TaskSpec(
+        name=name or f"{plain_name(path.stem)}-{'walk' if kind == 'ground' else 'swim'}",
+        description=f"{path.stem}, guessed from its mesh: it {_DOES[kind]}",
+        mesh=path,
+        body=chosen,
+        timestep=timestep,
+        steps_per_cycle=steps,
+        gait_tasks=gait_tasks(kind, size, axis),
+        gait_steps=_GAIT_CYCLES[kind] * steps,
+        weights=_weights(kind, size),
+        axis=(1.0, 0.0, 0.0) if axis is None else axis,
+        terrain=GROUND.terrain if kind == "ground" else None,
+        navigation=_navigation(kind, size),
+    )
+    return Guess(spec, _sentence(spec, view, kind, hertz, path))
+
+
+def _own_axis(body: Surface | TetMesh, view: View) -> tuple[float, float, float] | None:
+    """Return the own axis of a body that is alike all around it, mirrored across two planes; else None.
+
+    It swims in space, like a jellyfish; with a third plane, or longer than three times its width, in the plane,
+    like a fish.
+    """
+    if len(view.mirrors) != 2:
+        return None
+    across = [axis for axis in range(3) if axis in view.mirrors]
+    along = ({0, 1, 2} - set(across)).pop()
+    frame = np.array([direction(view.forward), np.zeros(3), direction(view.up)])
+    frame[1] = np.cross(frame[2], frame[0])
+    extent = abs(frame.T) @ np.ptp(body.vertices, axis=0)  # along the file's axes
+    wide = extent[across]
+    if abs(wide[0] - wide[1]) > _ROUND * wide.max() or extent[along] > 3 * wide.max():
+        return None
+    own = frame @ np.eye(3)[along]
+    own = np.abs(np.round(own)) + 0.0
+    return float(own[0]), float(own[1]), float(own[2])
+
+
+# ---- how fast it moves
+
+
+def rhythm(kind: str, hertz: Sequence[float] | np.ndarray, height: float) -> tuple[float, int]:
+    """Return the time step, s, and the steps of a cycle.
+
+    With f the natural frequencies with the control stiffness, which is what the target shape pulls with:
+    a cycle is 2.5 / f_1 (a swimmer in the plane), 1.4 / f_1 (in space) or 2.1 / f_1 on the ground, there
+    at least 2.6 sqrt(height / g), the time of falling over; 32, 18 and 46 steps a cycle, and more if
+    the last mode would have fewer than 1.7 of them in a period. So have it the shipped tasks: the fish
+    2.50, the swimmer 1.38, the walkers 2.11 and 2.6. The time step has three digits.
+
+    Args:
+        kind: 'planar', 'spatial' or 'ground'.
+        hertz: of the modes that are used, with the control stiffness.
+        height: of the body, m.
+    """
+    rule = RHYTHMS[kind]
+    period = max(rule.periods / min(hertz), rule.falling * np.sqrt(height / STANDARD_GRAVITY))
+    steps = max(rule.steps, int(np.ceil(period * max(hertz) / rule.finest)))
+    steps = min(steps, _MOST_STEPS)
+    return float(f"{period / steps:.3g}"), steps
+
+
+def softened(
+    kind: str, options: BodyOptions, hertz: np.ndarray, length: float
+) -> tuple[BodyOptions, np.ndarray]:
+    """Return a swimmer's options, softened if its modes are faster than the shipped swimmer's, and its modes, Hz.
+
+    What rights it, and its material's damping, go with time and not with its modes: a stiffer body is
+    tilted before it is righted, and overdamped. Sizes are compared at the same Froude number, that is
+    at frequencies that go with the inverse root of the length. The righting height goes with the length.
+    """
+    medium = options.medium
+    medium = dataclasses.replace(medium, righting_height=medium.righting_height * length)
+    limit = RHYTHMS[kind].fastest / np.sqrt(length)
+    share = min(1.0, (limit / min(hertz)) ** 2)
+    if share == 1.0:
+        return dataclasses.replace(options, medium=medium), hertz
+    young = float(f"{options.material.youngs_modulus * share:.2g}")
+    material = dataclasses.replace(options.material, youngs_modulus=young)
+    faster = np.sqrt(young / options.material.youngs_modulus)
+    return dataclasses.replace(options, medium=medium, material=material), hertz * faster
+
+
+def _frequencies(body: Surface | TetMesh, options: BodyOptions, name: str) -> np.ndarray:
+    """Return the natural frequencies with the control stiffness, Hz."""
+    mesh = body if isinstance(body, TetMesh) else _coarse(body, options.vertices, name)
+    material = options.material
+    mass = lumped_mass(mesh.vertices, mesh.tetrahedra, material.density)
+    values, modes = linear_modes(mesh, material, mass, options.modes)
+    correction = stiffness_correction(mesh, material, mass, modes)
+    hertz = np.sqrt(values * correction.young) / (2 * np.pi)
+    return hertz * np.sqrt(1.0 + material.control_stiffness)
+
+
+def _coarse(surface: Surface, vertices: int, name: str) -> TetMesh:
+    """Return a surface filled coarsely if that loses nothing: frequencies are corrected for it."""
+    try:
+        return fill(surface, min(vertices, _COARSE), name)[0]
+    except DefplanError:
+        if vertices <= _COARSE:
+            raise
+        return fill(surface, vertices, name)[0]
+
+
+# ---- what it is to do
+
+_DOES = {
+    "planar": "swims in the plane",
+    "spatial": "swims in space",
+    "ground": "walks",
+}
+_GAIT_CYCLES = {"planar": 18, "spatial": 11, "ground": 8}  # as the shipped tasks have
+
+
+def gait_tasks(
+    kind: str, length: float, axis: Sequence[float] | None = None
+) -> tuple[GaitTask, ...]:
+    """Return what the gaits should do, in body lengths.
+
+    In water in the plane: forward, left, right; in space: tilts of the own axis to four sides, and forward
+    along it; on the ground forward, back, left and right without turning.
+    """
+    if kind == "ground":
+        sides = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
+        return tuple(
+            GaitTask(name, move=(0.4 * length * x, 0.4 * length * y, 0.0))
+            for name, (x, y) in sides.items()
+        )
+    if kind == "planar":
+        return (
+            GaitTask("forward", move=(0.5 * length, 0.0, 0.0)),
+            GaitTask("left", turn=(0.0, 0.0, 0.6), move=(0.3 * length, 0.0, 0.0)),
+            GaitTask("right", turn=(0.0, 0.0, -0.6), move=(0.3 * length, 0.0, 0.0)),
+        )
+    own = np.array((0.0, 0.0, 1.0) if axis is None else axis)
+    first = np.array([1.0, 0.0, 0.0]) if abs(own[0]) < 0.5 else np.array([0.0, 0.0, -1.0])
+    names = {
+        "front": first,
+        "back": -first,
+        "left": np.cross(own, first),
+        "right": np.cross(first, own),
+    }
+    still = (0.0, 0.0, 0.0)
+    tilts = [GaitTask(n, _triple(0.45 * np.cross(own, to)), still) for n, to in names.items()]
+    return (*tilts, GaitTask("forward", move=_triple(0.5 * length * own)))
+
+
+def _triple(vector: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = (float(value) + 0.0 for value in np.round(vector, 9))
+    return x, y, z
+
+
+BODIES = {
+    "planar": BodyOptions(modes=5, basis=31, samples=16, amplitude=2.0),
+    "spatial": BodyOptions(
+        vertices=1500, modes=10, basis=60, samples=24, medium=Medium(righting_height=0.0)
+    ),
+    "ground": BodyOptions(
+        vertices=1500,
+        modes=10,
+        basis=31,
+        drag_error=0.3,
+        amplitude=1.0,
+        material=Material(damping=0.15),
+        medium=GROUND.medium,
+    ),
+}
+"""How bodies are built: about as those of the shipped tasks."""
+
+
+def _weights(kind: str, length: float) -> Weights:
+    """Return the weights of the shipped task of its kind; those of lengths are per body length."""
+    usual = {
+        "planar": Weights(effort=0.15, style="sideways"),
+        "spatial": Weights(turn=6.0, move=6.0, drift=6.0, roll=1.0, effort=0.15, style="pulse"),
+        "ground": Weights(turn=3.0, move=8.0, drift=8.0, tilt=3.0, slip=0.8),
+    }[kind]
+    per_square = {n: getattr(usual, n) / length**2 for n in ("move", "drift", "sink")}
+    return dataclasses.replace(usual, slip=usual.slip / length, **per_square)
+
+
+def _navigation(kind: str, length: float) -> Navigation:
+    """Return the navigation problem of the shipped tasks, in body lengths."""
+    usual = Navigation(k2=30, beams=128, space="spatial") if kind == "spatial" else Navigation()
+    names = ("distance", "goal_radius", "laser_range")
+    return dataclasses.replace(usual, **{n: length * getattr(usual, n) for n in names})
+
+
+# ---- how it is said
+
+
+def plain_name(stem: str) -> str:
+    """Return a file's stem as a task's name."""
+    return re.sub(r"[^\w.+-]+", "-", stem).strip("-.+") or "body"
+
+
+def _sentence(spec: TaskSpec, view: View, kind: str, hertz: np.ndarray, path: Path) -> str:
+    """Return what was guessed, in one sentence."""
+    stands = "stands on" if kind == "ground" else "is down on"
+    down = view.up[1:] if view.up.startswith("-") else f"-{view.up}"
+    young = spec.body.material.youngs_modulus
+    names = ", ".join(task.name for task in spec.gait_tasks)
+    because = f" ({view.why})" if view.why else ""
+    rate = f"{hertz.min():.3g} to {hertz.max():.3g} Hz"
+    return (
+        f"{path.name}: ahead is {view.forward}, it {stands} its {down} side{because} and is"
+        f" {spec.body.length:g} m long (--forward, --up and --length overrule that); it {_DOES[kind]},"
+        f" {spec.steps_per_cycle} steps of {spec.timestep:g} s a cycle, from natural frequencies of {rate}"
+        f" with the control stiffness and a Young's modulus of {young:g} Pa; gaits: {names}"
+    )
