@@ -99,8 +99,8 @@ def test_what_no_shipped_task_has_comes_back_too(tmp_path):
     found = read_task(write_task(spec, tmp_path / "task.toml"))
     assert found.terrain is not None and found.terrain.heightfield is not None
     assert np.array_equal(found.terrain.heightfield.heights, field.heights)
-    same = dataclasses.replace(found.terrain.heightfield, heights=field.heights)
-    assert dataclasses.asdict(same) == dataclasses.asdict(field)
+    again, given = dataclasses.asdict(found.terrain.heightfield), dataclasses.asdict(field)
+    assert {**again, "heights": None} == {**given, "heights": None}
     level: dict[str, Any] = {"terrain": registry.get_task("quadruped-walk").terrain}
     assert dataclasses.replace(found, **level) == dataclasses.replace(spec, **level)
     assert found.terrain.geoms == () and found.terrain.thickness == 0.02
