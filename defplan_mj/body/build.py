@@ -10,17 +10,16 @@ from threadpoolctl import threadpool_limits
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.body.axes import vector
 from defplan_mj.body.convergence import stiffness_correction
 from defplan_mj.body.cubature import drag_points
 from defplan_mj.body.elasticity import linear_modes
-from defplan_mj.body.meshing import fill
+from defplan_mj.body.loading import Filled, fill_file
 from defplan_mj.body.model import LIMITS, Body
 from defplan_mj.body.options import BodyOptions
-from defplan_mj.body.orientation import turned
 from defplan_mj.body.reduction import reduce_shapes
 from defplan_mj.body.rotation_strain import RotationStrain, feature_map
-from defplan_mj.body.surface import Surface, load_mesh
-from defplan_mj.body.tetmesh import TetMesh, boundary, lumped_mass, quality, volumes
+from defplan_mj.body.tetmesh import TetMesh, boundary, lumped_mass, quality
 
 _ROTATION, _STRAIN = 1.0, 0.4  # what q = 1 is about: rad of rotation, or strain
 
@@ -53,9 +52,13 @@ def check_options(options: BodyOptions) -> None:
         if not least <= value <= most:
             raise DefplanError(f"{name} is {value}: it must lie between {least} and {most}")
     material = options.material
+    for axis in (options.up, options.forward):
+        if axis is not None:
+            vector(axis)
     for name, value in (
         ("drag_error", options.drag_error),
         ("length", 1.0 if options.length is None else options.length),
+        ("shape_error", 1.0 if options.shape_error is None else options.shape_error),
         ("amplitude", options.amplitude),
         ("density", material.density),
         ("Young's modulus", material.youngs_modulus),
@@ -82,37 +85,50 @@ def build_body(
     progress: Progress = no_progress,
     name: str | None = None,
 ) -> Body:
-    """Build a body; the same file and options give the same body to the bit.
+    """Build a body; the same file and options give the same body to the bit, if the lattice does.
+
+    (A surface that the lattice cannot fill is filled by fTetWild, each time a little differently;
+    `body.source["mesher"]` says so.)
 
     Args:
-        mesh_path: a closed surface (what trimesh reads) or a tetrahedral mesh (what meshio reads).
+        mesh_path: a surface or cells, in a format of `formats`.
         options: see `BodyOptions`; the defaults if not given.
         name: of the body; the file's stem if not given.
 
     Raises:
         DefplanError: the mesh cannot be used; the sentence says why and what mends it.
     """
+    return build_with_account(mesh_path, options, progress, name, measured=False)[0]
+
+
+def build_with_account(
+    mesh_path: str | Path,
+    options: BodyOptions | None = None,
+    progress: Progress = no_progress,
+    name: str | None = None,
+    measured: bool = True,
+) -> tuple[Body, Filled]:
+    """Build a body as `build_body` does; return it and how its mesh came about.
+
+    Args:
+        measured: compare the mesh with the file's surface even if no option asks for it.
+    """
     options = options or BodyOptions()
     check_options(options)
     # one thread: sums in another order would give other bits, and the hash another gait's body
     with threadpool_limits(limits=1):
-        return _build(Path(mesh_path), options, progress, name or Path(mesh_path).stem)
+        path = Path(mesh_path)
+        filled = fill_file(path, options, progress, measured)
+        return _build(path, options, progress, name or path.stem, filled), filled
 
 
-def _build(path: Path, options: BodyOptions, progress: Progress, name: str) -> Body:
-    """Do the work of `build_body`."""
-    progress("reading the mesh", 0.0)
-    loaded = turned(load_mesh(path, options.length), options.up, options.forward)
-    source: dict = {"mesh": path.name, "options": _told(options)}
-    if isinstance(loaded, Surface):
-        progress("filling it with tetrahedra", 0.05)
-        mesh, cell = fill(loaded, options.vertices, str(path))
-        source["cell"] = cell.tolist()
-        source["volume_error"] = float(
-            volumes(mesh.vertices, mesh.tetrahedra).sum() / loaded.volume - 1
-        )
-    else:
-        mesh = loaded
+def _build(path: Path, options: BodyOptions, progress: Progress, name: str, filled: Filled) -> Body:
+    """Do the work of `build_body` on a filled mesh."""
+    mesh = filled.mesh
+    source: dict = {"mesh": path.name, "options": options.stated(), **filled.source}
+    for what in ("repaired", "notes", "warnings"):
+        if sentences := getattr(filled, what):
+            source[what] = sentences
     shape = quality(mesh.vertices, mesh.tetrahedra)
     source["quality"] = {"min": float(shape.min()), "mean": float(shape.mean())}
 

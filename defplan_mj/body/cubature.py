@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as sla
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.drag import DragPoints, Moments, SurfaceFields, forces
 from defplan_mj.body.mirror import mirror_axes
 from defplan_mj.body.model import Body
@@ -102,6 +103,11 @@ def drag_points(body: Body, bound: float, most: int, seed: int = 0) -> tuple[Dra
             force_error, _, area = measured(*best)
         if (force_error <= bound and area <= limit) or len(best[0]) >= largest:
             break
+    if not best[0]:
+        raise DefplanError(
+            "the drag of this body cannot be measured (its motions diverge): it is too thin or too"
+            " light for the medium; thicken it, or raise its density"
+        )
     order = np.argsort(best[0])
     which, weights = [best[0][i] for i in order], best[1][order]
     error = DragError(

@@ -18,6 +18,7 @@ from defplan_mj.body.model import Body
 from defplan_mj.body.rotation_strain import affine_coordinates, exponential
 
 _STEPS, _CYCLES = 24, 3  # of the integration a cycle; until the last one, which is used
+_MOST_STEPS, _FASTEST = 24 * 32, 1e3  # a cycle, if it diverges; lengths a cycle: it has diverged
 _DIFFERENCE = 1e-5  # of q, for derivatives
 _GRAVITY = 9.81
 _STIR, _SPIN = 0.5, 1.0  # rms velocity and spin at the start, lengths and radians a cycle
@@ -111,20 +112,40 @@ def swimming_motions(
         The moments, phase by phase: entry i * count + j is phase i of trajectory j.
     """
     rhythm = random_rhythm(body, count, rng)
-    h = 1.0 / (rhythm.tempo * _STEPS)
     velocity = _stir(count, rng) * _STIR * body.length * rhythm.tempo
     spin = _stir(count, rng) * _SPIN * rhythm.tempo
     attitude = np.tile(np.eye(3), (count, 1, 1))
     up = np.array([0.0, 0.0, 1.0]) + 0.3 * rng.normal(size=(count, 3))
     up /= np.linalg.norm(up, axis=1, keepdims=True)
+    steps = _STEPS
+    with np.errstate(all="ignore"):  # what diverges is done again
+        while True:
+            done = _swim(body, points, rhythm, (velocity, spin, attitude, up), steps, phases)
+            fast = np.abs(done.velocity).max() / (body.length * rhythm.tempo)
+            if fast < _FASTEST or steps >= _MOST_STEPS:
+                return done
+            steps *= 2
+
+
+def _swim(
+    body: Body,
+    points: DragPoints,
+    rhythm: Rhythm,
+    start: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    steps: int,
+    phases: int,
+) -> Moments:
+    """Integrate with `steps` a cycle; thin, light bodies, which the drag stops fast, want many."""
+    velocity, spin, attitude, up = start
+    h = 1.0 / (rhythm.tempo * steps)
     now = _moving(body, rhythm.at(0.0), velocity, attitude)
     inertia, inner = _rotation(body, now)
     turning = np.einsum("mij,mj->mi", inertia, spin) + inner
     now = _spun(body, now, turning)
-    first = _STEPS * (_CYCLES - 1)
-    instants = first + np.arange(phases) * _STEPS // phases
+    first = steps * (_CYCLES - 1)
+    instants = first + np.arange(phases) * steps // phases
     kept = []
-    for i in range(_STEPS * _CYCLES):  # the midpoint rule
+    for i in range(steps * _CYCLES):  # the midpoint rule
         rates = _rates(body, points, now, turning, up)
         shape = rhythm.at((i + 0.5) * h)
         middle = turning + 0.5 * h * rates[1]

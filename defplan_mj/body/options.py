@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from defplan_mj.body.model import Material, Medium
 
@@ -23,7 +24,11 @@ class BodyOptions:
             as many drag points are taken as it asks for.
         drag_points: at most.
         length: longest extent, m (None: as the mesh file says).
-        up, forward: which axes of the mesh file are the body's z and x: 'x', '-x', 'y', '-y', 'z', '-z'.
+        up, forward: axes of the file, such as "y" or "-z" (None: as the format says, or a guess).
+        strict: refuse a mesh that would have to be mended.
+        shape_error: largest distance between the mesh and the file's surface, of the length; with it the
+            extents and the volume are held within 3%, too, if need be with more vertices (None:
+            the lattice's mesh is taken as it comes).
         amplitude: largest |q_i| the reduction is sampled at and gaits may ask for.
         material, medium: see their classes.
     """
@@ -34,9 +39,23 @@ class BodyOptions:
     samples: int = 16
     drag_error: float = 0.03
     drag_points: int = 256
-    length: float | None = 1.0
+    length: float | None = None
     amplitude: float = 1.5
     material: Material = Material()
     medium: Medium = Medium()
-    up: str = "z"
-    forward: str = "x"
+    up: str | None = None
+    forward: str | None = None
+    strict: bool = False
+    shape_error: float | None = None
+
+    def stated(self) -> dict[str, Any]:
+        """Return the options as data; the later ones only where they differ from their defaults.
+
+        A body's hash is of its options, too: those of before keep theirs.
+        """
+        later = {"up": None, "forward": None, "strict": False, "shape_error": None}
+        return {
+            name: value
+            for name, value in asdict(self).items()
+            if name not in later or value != later[name]
+        }

@@ -5,23 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import meshio
 import numpy as np
-import trimesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.body.formats import read_file
 from defplan_mj.body.intersections import crossing_triangles
 from defplan_mj.body.tetmesh import TetMesh, compact, face_pieces, volumes
-
-SURFACE_FORMATS = (".stl", ".obj", ".ply", ".off", ".gltf", ".glb")
-TETRAHEDRAL_FORMATS = (".msh", ".vtk", ".vtu")
-_READERS = {  # two programs use .msh
-    ".msh": (meshio.gmsh.read, meshio.ansys.read),
-    ".vtk": (meshio.vtk.read,),
-    ".vtu": (meshio.vtu.read,),
-}
 
 
 @dataclass(frozen=True)
@@ -46,43 +37,18 @@ class Surface:
 
 
 def load_mesh(path: str | Path, length: float | None = None) -> Surface | TetMesh:
-    """Read a closed surface, or a tetrahedral mesh, and check it.
-
-    Coordinates are taken as they are: x forward, y left, z up, metres.
+    """Read a closed surface, or a tetrahedral mesh, as it stands, and check it; nothing is mended.
 
     Args:
-        path: what trimesh reads as a surface (STL, OBJ, PLY, OFF, glTF) or what meshio reads as
-            tetrahedra (.msh, .vtk, .vtu; with triangles only, they are taken as a surface).
         length: the longest extent is scaled to it, m.
 
     Raises:
         DefplanError: the file or the mesh is bad; the sentence says why and what mends it.
     """
     path = Path(path)
-    if not path.is_file():
-        raise DefplanError(f"mesh file {path} does not exist")
-    form = path.suffix.lower()
-    if form in TETRAHEDRAL_FORMATS:
-        vertices, cells = _read_volume(path, form)
-    elif form in SURFACE_FORMATS:
-        vertices, cells = _read_surface(path, form)
-    else:
-        known = ", ".join(SURFACE_FORMATS + TETRAHEDRAL_FORMATS)
-        raise DefplanError(f"cannot read {path}: a mesh file ends in one of {known}")
-    if len(cells) == 0 or len(vertices) == 0:
-        raise DefplanError(f"{path} is empty: it has no triangles and no tetrahedra")
-    if cells.min() < 0 or cells.max() >= len(vertices):
-        raise DefplanError(f"{path} names vertices that it does not have: export it again")
-    used = np.unique(cells)
-    if not np.isfinite(vertices[used]).all():
-        bad = int((~np.isfinite(vertices[used]).all(1)).sum())
-        raise DefplanError(
-            f"{path} has {bad} vertices whose coordinates are not finite numbers: export it again"
-        )
-    extent = np.ptp(vertices[used], axis=0)
-    if extent.min() <= 1e-9 * extent.max():
-        what = "a point" if extent.max() == 0.0 else f"flat along {'xyz'[extent.argmin()]}"
-        raise DefplanError(f"{path} encloses no volume (it is {what}): give it a size")
+    raw = read_file(path)
+    vertices, cells = raw.vertices, raw.tetrahedra if len(raw.tetrahedra) else raw.triangles
+    extent = check_extent(vertices, cells, path)
     if length is not None:
         vertices = vertices * (length / extent.max())
     if cells.shape[1] == 4:
@@ -90,55 +56,24 @@ def load_mesh(path: str | Path, length: float | None = None) -> Surface | TetMes
     return check_surface(vertices, cells, path)
 
 
-def _read_surface(path: Path, form: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and triangles as trimesh reads them."""
-    try:
-        mesh = trimesh.load_mesh(str(path), file_type=form[1:], process=False)
-        if isinstance(mesh, trimesh.Scene):
-            mesh = mesh.to_mesh()
-        vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
-    except MemoryError:
-        raise
-    except Exception as error:  # every loader fails in its own way on a damaged file
-        if path.stat().st_size == 0:
-            raise DefplanError(f"{path} is empty: it has no triangles") from error
+def check_extent(vertices: np.ndarray, cells: np.ndarray, path: Path | str) -> np.ndarray:
+    """Return the extents (3,), m, of what the cells use.
+
+    Raises:
+        DefplanError: coordinates are not finite, or the extents span no volume.
+    """
+    used = np.unique(cells)
+    finite = np.isfinite(vertices[used]).all(1)
+    if not finite.all():
         raise DefplanError(
-            f"{path} cannot be read as a {form} mesh ({_short(error)}): export it again"
-        ) from error
-    return vertices.reshape(-1, 3), faces.reshape(-1, 3)
-
-
-def _read_volume(path: Path, form: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and tetrahedra as meshio reads them, or triangles if it has no others."""
-    if path.stat().st_size == 0:
-        raise DefplanError(f"{path} is empty: it has no tetrahedra")
-    mesh, failure = None, None
-    for read in _READERS[form]:
-        try:
-            mesh = read(str(path))
-            break
-        except MemoryError:
-            raise
-        except (Exception, SystemExit) as error:  # meshio's readers fail each in their own way
-            failure = failure or error
-    if mesh is None:
-        raise DefplanError(
-            f"{path} cannot be read as a {form} mesh ({_short(failure)}): export it again"
-        ) from failure
-    vertices = np.asarray(mesh.points, float)
-    if vertices.shape[1:] == (2,):
-        vertices = np.hstack([vertices, np.zeros((len(vertices), 1))])
-    for kinds, corners in ((("tetra", "tetra10"), 4), (("triangle",), 3)):
-        cells = [np.asarray(c.data)[:, :corners] for c in mesh.cells if c.type in kinds]
-        if any(len(c) for c in cells):
-            return vertices, np.concatenate(cells).astype(np.int64)
-    return vertices, np.zeros((0, 4), np.int64)
-
-
-def _short(error: BaseException | None) -> str:
-    """Return the first line of an error's message, or its type."""
-    lines = str(error).strip().splitlines()
-    return (lines[0] if lines else type(error).__name__).rstrip(".:")[:120]
+            f"{path} has {int((~finite).sum())} vertices whose coordinates are not finite numbers:"
+            " export it again"
+        )
+    extent = np.ptp(vertices[used], axis=0)
+    if extent.min() <= 1e-9 * extent.max():
+        what = "a point" if extent.max() == 0.0 else f"flat along {'xyz'[extent.argmin()]}"
+        raise DefplanError(f"{path} encloses no volume (it is {what}): give it a size")
+    return extent
 
 
 def merge_vertices(

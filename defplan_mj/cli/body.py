@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING, Any
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli.console import Console
 
+SHAPE_ERROR = 0.01  # of the length: what a file's mesh may differ by; a task says it itself
+
 if TYPE_CHECKING:
+    from defplan_mj.body.loading import Filled
     from defplan_mj.body.model import Body
     from defplan_mj.task import BodyOptions
 
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
 def body(arguments: argparse.Namespace, console: Console) -> int:
     """Build the body, write it, print what it is."""
     from defplan_mj.base import files
-    from defplan_mj.body.build import build_body
+    from defplan_mj.body.build import build_with_account
 
     mesh, options, name = _what(arguments)
     output = arguments.output or Path(f"{name}.npz")
@@ -28,15 +31,36 @@ def body(arguments: argparse.Namespace, console: Console) -> int:
     files.check_writable(output)  # now, not after half a minute of work
     start = time.perf_counter()
     with console.progress() as progress:
-        built = build_body(mesh, options, lambda m, f: progress(f"body: {m}", f), name)
+        built, filled = build_with_account(
+            mesh, options, lambda m, f: progress(f"body: {m}", f), name
+        )
         built.save(output)
         data = _describe(built, output, time.perf_counter() - start)
+        data |= _account(filled)
         if arguments.check:
             from defplan_mj.body.check import check_body
 
             data["check"] = check_body(built, lambda m, f: progress(f"check: {m}", f))
+    for warning in data["warnings"]:
+        console.say(f"warning: {warning}")
     console.result(data, _text(data))
     return 0
+
+
+def _account(filled: Filled) -> dict[str, Any]:
+    """Return how like the file the mesh is, and what was read in another way than it stands there."""
+    like = filled.fidelity
+    assert like is not None
+    return {
+        "fidelity": {
+            "surface_distance": like.surface_distance,
+            "extents_error": like.extents_error,
+            "volume_error": like.volume_error,
+            "repaired": list(filled.repaired),
+        },
+        "notes": list(filled.notes),
+        "warnings": list(filled.warnings),
+    }
 
 
 def _what(arguments: argparse.Namespace) -> tuple[Path, BodyOptions, str]:
@@ -46,18 +70,22 @@ def _what(arguments: argparse.Namespace) -> tuple[Path, BodyOptions, str]:
 
     mesh, options = Path(arguments.mesh), BodyOptions()
     name = mesh.stem
+    changes: dict[str, Any] = {"shape_error": SHAPE_ERROR}
     if is_file(arguments.mesh):
         spec = find_task(arguments.mesh)
-        mesh, options, name = spec.mesh, spec.body, spec.mesh.stem
+        mesh, options, name, changes = spec.mesh, spec.body, spec.mesh.stem, {}
     elif not mesh.exists() and not mesh.suffix and mesh.parent == Path():
         try:
             spec = find_task(arguments.mesh)
         except DefplanError as error:
             raise DefplanError(f"mesh file {mesh} does not exist, and {error}") from error
-        mesh, options, name = spec.mesh, spec.body, spec.mesh.stem
+        mesh, options, name, changes = spec.mesh, spec.body, spec.mesh.stem, {}
     material = _given(arguments, density="density", youngs_modulus="youngs_modulus",
                       poissons_ratio="poissons_ratio")  # fmt: skip
-    changes = _given(arguments, vertices="vertices", modes="modes", length="length")
+    changes |= _given(arguments, vertices="vertices", modes="modes", length="length", up="up",
+                      forward="forward")  # fmt: skip
+    if arguments.strict:
+        changes["strict"] = True
     if material:
         changes["material"] = dataclasses.replace(options.material, **material)
     if arguments.medium and arguments.medium != options.medium.name:
@@ -103,7 +131,7 @@ def _describe(built: Body, output: Path, seconds: float) -> dict[str, Any]:
 
 def _text(data: dict[str, Any]) -> str:
     """Return the same for people."""
-    quality = data["quality"]
+    quality, like = data["quality"], data["fidelity"]
     frequencies = ", ".join(f"{f:.3g}" for f in data["frequencies_hz"])
     lines = [
         f"{data['file']}: {data['name']}, {data['length_m']:.3g} m, {data['mass_kg']:.3g} kg,"
@@ -111,6 +139,10 @@ def _text(data: dict[str, Any]) -> str:
         f"  mesh       {data['vertices']} vertices, {data['tetrahedra']} tetrahedra,"
         f" quality {quality.get('min', float('nan')):.2f} at least,"
         f" {quality.get('mean', float('nan')):.2f} on average",
+        f"  fidelity   surface within {like['surface_distance']:.2%} of the length, extents within"
+        f" {like['extents_error']:.2%}, volume {like['volume_error']:+.2%}",
+        *(f"  repaired   {sentence}" for sentence in like["repaired"]),
+        *(f"  note       {sentence}" for sentence in data["notes"]),
         f"  modes      {data['modes']}: {frequencies} Hz",
         f"  reduction  {data['basis']} basis shapes, {data['sampled']} sampled tetrahedra,"
         f" {data['drag']['points']} drag points",

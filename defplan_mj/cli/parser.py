@@ -185,15 +185,33 @@ def _body(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "mesh",
         metavar="MESH",
-        help="a watertight surface mesh (STL, OBJ, PLY, OFF, glTF), a tetrahedral mesh (.msh, "
-        ".vtk, .vtu), or a TASK: its mesh and its options",
+        help="a surface (STL, OBJ, PLY, OFF, glTF, 3MF, DAE, ...) or cells (.msh, .vtk, .vtu, "
+        ".mesh, ...), or a TASK: its mesh and its options",
     )
     sub.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="body file to write (default: NAME.npz)"
     )
     sub.add_argument("--vertices", type=_count, metavar="N", help="of the tetrahedral mesh")
     sub.add_argument("--modes", type=_count, metavar="R", help="modal coordinates")
-    sub.add_argument("--length", type=_positive, metavar="M", help="longest extent, metres")
+    sub.add_argument(
+        "--length",
+        type=_positive,
+        metavar="M",
+        help="scale the longest extent to M metres (default: the file's numbers are metres)",
+    )
+    axes = ("x", "y", "z", "-x", "-y", "-z")
+    sub.add_argument(
+        "--up",
+        choices=axes,
+        metavar="AXIS",
+        help="the file's axis that is up: x, y, z; --up=-z (default: a guess)",
+    )
+    sub.add_argument(
+        "--forward", choices=axes, metavar="AXIS", help="the file's axis that the head points along"
+    )
+    sub.add_argument(
+        "--strict", action="store_true", help="refuse a mesh that would have to be repaired"
+    )
     sub.add_argument("--density", type=_positive, metavar="RHO", help="kg/m^3")
     sub.add_argument("--youngs-modulus", type=_positive, metavar="E", help="Pa")
     sub.add_argument("--poissons-ratio", type=_poisson, metavar="NU", help="0 to below 0.5")

@@ -40,7 +40,7 @@ def _body_inputs(run: Run) -> dict[str, Any]:
     mesh = run.plan.spec.mesh
     return {
         "mesh": file_hash(mesh) if mesh.is_file() else "missing",
-        "task": {"body": dataclasses.asdict(run.plan.spec.body)},
+        "task": {"body": run.plan.spec.body.stated()},
     }
 
 

@@ -6,14 +6,14 @@ from pathlib import Path
 
 from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.body.surface import SURFACE_FORMATS, TETRAHEDRAL_FORMATS
+from defplan_mj.body.formats import CELL_FORMATS, SURFACE_FORMATS
 from defplan_mj.task import TaskSpec
 from defplan_mj.taskfile.read import read_task
 
 SUFFIX = ".toml"
 COPY = "task.toml"
 """A run's folder keeps its task under this name, if that is a file's."""
-MESHES = SURFACE_FORMATS + TETRAHEDRAL_FORMATS
+MESHES = SURFACE_FORMATS + CELL_FORMATS
 
 
 def is_file(name: str) -> bool:

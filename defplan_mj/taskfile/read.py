@@ -272,7 +272,8 @@ class _Reader:
                     " turn can be other than 0 where the space is 'planar'",
                 )
         try:
-            frame_of(spec.body.up, spec.body.forward)
+            if spec.body.up and spec.body.forward:
+                frame_of(spec.body.up, spec.body.forward)
         except DefplanError as error:
             self.fail(("body", "forward"), str(error))
         for i, geom in enumerate(spec.terrain.geoms if spec.terrain else ()):

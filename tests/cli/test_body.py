@@ -110,16 +110,13 @@ def no_mesh(path):
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (open_mesh, "open|hole|closed"),
-        (inside_out, "inside out|inwards|inward"),
         (in_pieces, "pieces|parts"),
-        (self_intersecting, "intersect|cross|itself"),
         (empty, "empty"),
         (without_faces, "empty"),
         (with_nan, "finite"),
         (of_zero_size, "volume|size"),
         (flat, "flat|volume"),
-        (cut_short, "read|closed|open|empty"),
+        (cut_short, "cut short"),
         (no_mesh, "read|empty"),
     ],
 )
@@ -133,6 +130,18 @@ def test_a_bad_mesh_is_one_sentence_that_names_the_file(make, says, tmp_path, ca
     assert "bad.stl" in err and "mistake in defplan" not in err
     assert any(word in err for word in says.split("|")), err
     assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [(open_mesh, "open"), (inside_out, "inside out"), (self_intersecting, "intersects itself")],
+)
+def test_strict_refuses_what_would_be_mended(make, says, tmp_path, capfd):
+    make(tmp_path / "bad.stl")
+    argv = ["body", str(tmp_path / "bad.stl"), "-o", str(tmp_path / "bad.npz"), "--strict", *SMALL]
+    code, _, err = run(argv, capfd)
+    assert code == 1 and says in err and "--strict" in err and err.count("\n") == 1
+    assert not (tmp_path / "bad.npz").exists()
 
 
 def test_a_missing_mesh_and_an_unknown_kind_are_named(tmp_path, capfd):

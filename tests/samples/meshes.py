@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import trimesh
 
@@ -31,7 +33,7 @@ def bar(cells: tuple[int, int, int], size: tuple[float, float, float]) -> TetMes
     return TetMesh(vertices, np.concatenate(tetrahedra))
 
 
-def surface_of(mesh: trimesh.Trimesh) -> Surface:
+def surface_of(mesh: Any) -> Surface:
     """Return a trimesh as a Surface."""
     return Surface(np.array(mesh.vertices, float), np.array(mesh.faces, np.int64))
 

@@ -1,0 +1,368 @@
+"""Reads mesh files of all formats: vertices, triangles, tetrahedra, and what else the file said."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import trimesh
+
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.body import cells as split
+
+SURFACE_FORMATS = (".stl", ".obj", ".ply", ".off", ".gltf", ".glb", ".3mf", ".dae")
+_MESHIO: dict[str, tuple[str, ...]] = {  # two programs use .msh (and MuJoCo a third)
+    ".msh": ("gmsh", "ansys"), ".vtk": ("vtk",), ".vtu": ("vtu",), ".mesh": ("medit",),
+    ".meshb": ("medit",), ".inp": ("abaqus",), ".bdf": ("nastran",), ".nas": ("nastran",),
+    ".fem": ("nastran",), ".vol": ("netgen",), ".su2": ("su2",), ".ele": ("tetgen",),
+    ".node": ("tetgen",), ".avs": ("avsucd",), ".ugrid": ("ugrid",), ".xml": ("dolfin",),
+    ".f3grid": ("flac3d",), ".mdpa": ("mdpa",),
+}  # fmt: skip
+_MUJOCO = (".skn",)
+CELL_FORMATS = tuple(_MESHIO)
+_UNITS = {
+    "micrometer": 1e-6, "micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "decimeter": 0.1,
+    "meter": 1.0, "inch": 0.0254, "foot": 0.3048, "feet": 0.3048,
+}  # fmt: skip
+_CURVED = 1e-3  # of the length: second-order cells are split at their edges' middles
+_MOST_STRAIGHTENED = 1e-2  # of the length
+
+
+@dataclass
+class RawMesh:
+    """What a file holds.
+
+    Attributes:
+        vertices: (n, 3), m if the file's unit is known.
+        triangles, tetrahedra: (f, 3), (t, 4); tetrahedra count if there are any.
+        notes: sentences on what was read in another way than it stands there.
+        up, forward: axes that the format lays down ("y"), or None.
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    tetrahedra: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.int64))
+    notes: list[str] = field(default_factory=list)
+    up: str | None = None
+    forward: str | None = None
+
+
+def read_file(path: Path) -> RawMesh:
+    """Read a mesh file.
+
+    Raises:
+        DefplanError: it cannot be read; the sentence says why, in the format's words.
+    """
+    if not path.is_file():
+        raise DefplanError(f"mesh file {path} does not exist")
+    form = path.suffix.lower()
+    if form not in (*SURFACE_FORMATS, *_MESHIO, *_MUJOCO):
+        known = ", ".join((*SURFACE_FORMATS, *_MESHIO, *_MUJOCO))
+        raise DefplanError(f"cannot read {path}: a mesh file ends in one of {known}")
+    if path.stat().st_size == 0:
+        raise DefplanError(f"{path} is empty: it has no bytes; export it again")
+    if form in _MUJOCO:
+        mesh = _mujoco_skin(path)
+    elif form in SURFACE_FORMATS:
+        mesh = _surface(path, form)
+    else:
+        mesh = (_mujoco_mesh(path) if form == ".msh" else None) or _cells(path, form)
+    if len(mesh.triangles) == 0 and len(mesh.tetrahedra) == 0:
+        if len(mesh.vertices):
+            raise DefplanError(
+                f"{path} is a cloud of {len(mesh.vertices)} points without triangles or tetrahedra:"
+                " make a surface of it first"
+            )
+        raise DefplanError(
+            f"{path} has no triangles and no tetrahedra: it is damaged, of another format or was"
+            " exported without faces; export it again"
+        )
+    for corners in (mesh.triangles, mesh.tetrahedra):
+        if len(corners) and (corners.min() < 0 or corners.max() >= len(mesh.vertices)):
+            raise DefplanError(f"{path} names vertices that it does not have: export it again")
+    return mesh
+
+
+def _attempt(path: Path, form: str, read: Callable[[], Any]) -> Any:
+    """Return read(), without what it prints; turn its failures into a sentence."""
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            return read()
+    except (MemoryError, DefplanError):
+        raise
+    except (Exception, SystemExit) as error:  # every loader fails in its own way on a damaged file
+        raise DefplanError(
+            f"{path} cannot be read as a {form} mesh ({_short(error)}): it is damaged or of another"
+            " format; export it again"
+        ) from error
+
+
+def _short(error: BaseException) -> str:
+    """Return the first line of an error's message, or its type; bytes that are no text are no message."""
+    lines = str(error).strip().splitlines()
+    text = lines[0] if lines else type(error).__name__
+    if isinstance(error, UnicodeDecodeError):
+        text = "its bytes are no text"
+    return re.sub(r"[^\x20-\x7e]", "?", text).rstrip(".:")[:120]
+
+
+# ---- surfaces
+
+
+def _surface(path: Path, form: str) -> RawMesh:
+    if form == ".stl":
+        _check_stl(path)
+    polygons = _attempt(path, form, lambda: _POLYGONS[form](path)) if form in _POLYGONS else None
+    if polygons is not None:
+        return polygons
+    mesh = _attempt(path, form, lambda: trimesh.load(str(path), file_type=form[1:], process=False))
+    notes, factor = [], 1.0
+    if isinstance(mesh, trimesh.Scene):
+        others = [g for g in mesh.geometry.values() if not isinstance(g, trimesh.Trimesh)]
+        if others and len(others) == len(mesh.geometry):
+            points = [np.asarray(getattr(g, "vertices", np.zeros((0, 3)))) for g in others]
+            return RawMesh(np.concatenate(points)[:, :3])
+        if others:
+            notes.append(f"{len(others)} lines or point clouds beside the surfaces are not used")
+        factor, said = _unit(mesh.units, form)
+        notes += said
+        scene = mesh
+        mesh = _attempt(path, form, scene.to_mesh)
+    elif form in (".3mf", ".dae"):
+        factor, said = _unit(getattr(mesh, "units", None), form)
+        notes += said
+    vertices = np.array(getattr(mesh, "vertices", np.zeros((0, 3))), float).reshape(-1, 3)
+    faces = np.array(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
+    gltf = form in (".gltf", ".glb")
+    up = "y" if gltf else _collada_up(path) if form == ".dae" else "z" if form == ".3mf" else None
+    return RawMesh(vertices * factor, faces, notes=notes, up=up, forward="z" if gltf else None)
+
+
+def _unit(name: str | None, form: str) -> tuple[float, list[str]]:
+    """Return metres in a file's unit and what to say of it; only 3MF has one that is surely meant."""
+    if form != ".3mf":
+        return 1.0, []
+    unit = str(name or "millimeter").lower().rstrip("s")
+    factor = _UNITS.get(unit, _UNITS.get(unit + "s", 1e-3))
+    return factor, [] if factor == 1.0 else [f"the file's unit is the {unit}: taken as such"]
+
+
+def _collada_up(path: Path) -> str | None:
+    match = re.search(rb"<up_axis>\s*([XYZ])_UP", path.read_bytes()[:100_000])
+    return match[1].decode().lower() if match else "y"
+
+
+def _check_stl(path: Path) -> None:
+    """Refuse a file that is neither a whole binary STL nor a text one."""
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        head = stream.read(2048)
+    text = head.lstrip()[:5].lower() == b"solid"
+    if text and b"facet" in head:
+        return
+    if text and b"endsolid" in head:
+        raise DefplanError(f"{path} is empty: its solid has no facets")
+    count = int.from_bytes(head[80:84], "little") if size >= 84 else -1
+    if count >= 0 and size >= 84 + 50 * count and (count or size == 84):
+        return
+    whole = 84 + 50 * count
+    if 0 < count < 50_000_000 and size < whole:
+        raise DefplanError(
+            f"{path} is cut short: its header names {count} triangles ({whole} bytes), the file has"
+            f" {size} bytes; copy or export it again"
+        )
+    raise DefplanError(
+        f"{path} cannot be read as a .stl mesh (it has neither the length of a binary one nor the"
+        " word 'facet' of a text one): it is damaged or of another format; export it again"
+    )
+
+
+def _obj(path: Path) -> RawMesh | None:
+    """Return an OBJ file's polygons; None if all faces are triangles, which trimesh reads faster."""
+    if not re.search(rb"^\s*f(?:[ \t]+\S+){4}", path.read_bytes(), re.MULTILINE):
+        return None
+    vertices: list[list[float]] = []
+    faces: list[list[int]] = []
+    text = path.read_text(encoding="utf-8", errors="replace").replace("\\\n", " ")
+    for line in text.splitlines():
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == "v":
+            vertices.append([float(w) for w in words[1:4]])
+        elif words[0] == "f":
+            index = [int(w.split("/", 1)[0]) for w in words[1:]]
+            faces.append([i - 1 if i > 0 else len(vertices) + i for i in index])
+    return _polygons(np.array(vertices, float).reshape(-1, 3), faces)
+
+
+def _off(path: Path) -> RawMesh | None:
+    """Return a text OFF file's polygons; None if trimesh has to try."""
+    text = re.sub(r"#.*", "", path.read_text(encoding="utf-8", errors="replace")).split()
+    if not text or text[0].upper() != "OFF":
+        return None
+    n, f = int(text[1]), int(text[2])
+    vertices = np.array(text[4 : 4 + 3 * n], float).reshape(n, 3)
+    lines = re.sub(r"#.*", "", path.read_text(encoding="utf-8", errors="replace")).splitlines()
+    rows = [w for w in (line.split() for line in lines) if w]
+    faces = [[int(i) for i in row[1 : 1 + int(row[0])]] for row in rows[-f:]] if f else []
+    return _polygons(vertices, faces) if any(len(face) > 3 for face in faces) else None
+
+
+def _ply(path: Path) -> RawMesh | None:
+    """Return a PLY file's polygons; None if it has triangles only, or meshio cannot read it."""
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            mesh = meshio.ply.read(str(path))
+    except MemoryError:
+        raise
+    except (Exception, SystemExit):
+        return None
+    if all(block.type == "triangle" for block in mesh.cells):
+        return None
+    return _of_meshio(path, mesh)
+
+
+_POLYGONS: dict[str, Callable[[Path], RawMesh | None]] = {".obj": _obj, ".off": _off, ".ply": _ply}
+
+
+def _polygons(vertices: np.ndarray, faces: list[list[int]]) -> RawMesh:
+    """Return a mesh of faces with any number of corners."""
+    by_size: dict[int, list[list[int]]] = {}
+    for face in faces:
+        by_size.setdefault(len(face), []).append(face)
+    triangles = [np.zeros((0, 3), np.int64)]
+    for size, group in by_size.items():
+        rows = np.array(group, np.int64).reshape(-1, size)
+        if len(rows) and (rows.min() < 0 or rows.max() >= len(vertices)):
+            return RawMesh(vertices, np.array([[0, 0, len(vertices)]]))  # refused by `read_file`
+        if size >= 3:
+            triangles.append(split.split_polygons(vertices, rows))
+    short = sum(len(group) for size, group in by_size.items() if size < 3)
+    notes = [f"{short} faces with fewer than three corners are not used"] if short else []
+    return RawMesh(vertices, np.concatenate(triangles), notes=notes)
+
+
+# ---- cells
+
+
+def _cells(path: Path, form: str) -> RawMesh:
+    failure: DefplanError | None = None
+    for name in _MESHIO[form]:
+        try:
+            mesh = _attempt(path, form, partial(getattr(meshio, name).read, str(path)))
+            return _attempt(path, form, partial(_of_meshio, path, mesh))
+        except DefplanError as error:
+            failure = failure or error
+    assert failure is not None
+    raise failure
+
+
+def _of_meshio(path: Path, mesh: Any) -> RawMesh:
+    vertices = np.asarray(mesh.points, float)
+    if vertices.ndim == 2 and vertices.shape[1] == 2:
+        vertices = np.hstack([vertices, np.zeros((len(vertices), 1))])
+    size = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
+    solid: dict[str, list[np.ndarray]] = {}
+    flat: list[np.ndarray] = []
+    notes: list[str] = []
+    unused: dict[str, int] = {}
+    for block in mesh.cells:
+        kind = split.linear_kind(block.type)
+        if kind is None and block.type.startswith("polygon"):
+            faces = [[int(i) for i in polygon] for polygon in block.data]
+            flat.append(_polygons(vertices, faces).triangles)
+            continue
+        if kind is None:
+            if not block.type.startswith(("vertex", "line")):
+                raise DefplanError(
+                    f"{path} has {len(block.data)} cells of the kind {block.type}, which cannot be"
+                    " split: export tetrahedra, hexahedra, wedges, pyramids or a surface"
+                )
+            unused[block.type] = unused.get(block.type, 0) + len(block.data)
+            continue
+        rows = np.asarray(block.data, np.int64)
+        if len(rows) == 0:
+            continue
+        if rows.min() < 0 or rows.max() >= len(vertices):
+            raise DefplanError(f"{path} names vertices that it does not have: export it again")
+        linear, off = split.straighten(vertices, kind, rows, _CURVED * size)
+        if off > _MOST_STRAIGHTENED * size:
+            raise DefplanError(
+                f"{path} has curved {block.type} cells, whose straight edges would be off by"
+                f" {off / size:.1%} of the length: refine it or export linear cells"
+            )
+        if off > _CURVED * size:
+            notes.append(
+                f"curved {block.type} cells are taken with straight edges, off by {off / size:.1%}"
+                " of the length"
+            )
+        if kind in split.FACES:
+            solid.setdefault(kind, []).append(linear)
+        else:
+            flat.append(split.split_polygons(vertices, linear))
+    triangles = np.concatenate([np.zeros((0, 3), np.int64), *flat])
+    if not solid:
+        if len(triangles) and unused:
+            notes += [f"{n} cells of the kind {k} are not used" for k, n in unused.items() if n]
+        return RawMesh(vertices, triangles, notes=notes)
+    joined = {kind: np.concatenate(parts) for kind, parts in solid.items()}
+    used = np.unique(np.concatenate([part.ravel() for part in joined.values()]))
+    beside = int((~np.isin(triangles, used).all(1)).sum())
+    if beside:
+        notes.append(f"{beside} triangles that belong to no solid cell are not used")
+    vertices, tetrahedra = split.split_cells(vertices, joined)
+    others = {k: len(v) for k, v in joined.items() if k != "tetra"}
+    if others:
+        names = {"hexahedron": "hexahedra", "wedge": "wedges", "pyramid": "pyramids"}
+        what = " and ".join(f"{n} {names[k]}" for k, n in others.items())
+        notes.append(f"{what} are split into tetrahedra")
+    return RawMesh(vertices, np.zeros((0, 3), np.int64), tetrahedra, notes)
+
+
+# ---- MuJoCo's own
+
+
+def _mujoco_mesh(path: Path) -> RawMesh | None:
+    """Return MuJoCo's binary .msh: four counts, vertices, normals, texture places, faces; or None."""
+    data = path.read_bytes()
+    if len(data) < 16:
+        return None
+    n, normals, places, faces = (int(k) for k in np.frombuffer(data, "<i4", 4))
+    if min(n, normals, places, faces) < 0 or n == 0:
+        return None
+    if len(data) != 16 + 12 * n + 12 * normals + 8 * places + 12 * faces:
+        return None
+    vertices = np.frombuffer(data, "<f4", 3 * n, 16).reshape(-1, 3).astype(float)
+    if faces == 0:
+        return RawMesh(vertices)
+    start = 16 + 12 * n + 12 * normals + 8 * places
+    return RawMesh(
+        vertices, np.frombuffer(data, "<i4", 3 * faces, start).reshape(-1, 3).astype(np.int64)
+    )
+
+
+def _mujoco_skin(path: Path) -> RawMesh:
+    """Return MuJoCo's .skn: four counts, vertices, texture places, faces, then bones (not used)."""
+    data = path.read_bytes()
+    counts = [int(k) for k in np.frombuffer(data[:16], "<i4", 4)] if len(data) >= 16 else [-1] * 4
+    n, places, faces, bones = counts
+    least = 16 + 12 * n + 8 * places + 12 * faces + 72 * bones
+    if min(counts) < 0 or n == 0 or len(data) < least:
+        raise DefplanError(
+            f"{path} cannot be read as a .skn skin of MuJoCo (its header does not fit its"
+            f" {len(data)} bytes): export it again"
+        )
+    vertices = np.frombuffer(data, "<f4", 3 * n, 16).reshape(-1, 3).astype(float)
+    start = 16 + 12 * n + 8 * places
+    triangles = np.frombuffer(data, "<i4", 3 * faces, start).reshape(-1, 3).astype(np.int64)
+    notes = [f"the skin's {bones} bones are not used"] if bones else []
+    return RawMesh(vertices, triangles, notes=notes)
