@@ -42,13 +42,16 @@ def run_tetwild(
     edge = 1.7 * (2.0 * max(abs(surface.volume), 1e-12 * diagonal**3) / vertices) ** (1.0 / 3.0)
     with tempfile.TemporaryDirectory() as folder:
         given, made = Path(folder) / "given.npz", Path(folder) / "made.npz"
-        np.savez(
-            given,
-            vertices=np.ascontiguousarray(surface.vertices, np.float64),
-            faces=np.ascontiguousarray(surface.faces, np.uint32),
-            edge=np.clip(edge / diagonal, 0.01, 0.15),
-            envelope=envelope / diagonal,
-        )
+        try:
+            np.savez(
+                given,
+                vertices=np.ascontiguousarray(surface.vertices, np.float64),
+                faces=np.ascontiguousarray(surface.faces, np.uint32),
+                edge=np.clip(edge / diagonal, 0.01, 0.15),
+                envelope=envelope / diagonal,
+            )
+        except OSError as error:
+            raise DefplanError(f"cannot write {given}: {error.strerror or error}") from error
         command = [sys.executable, str(_WORKER), str(given), str(made), str(int(max(seconds, 1)))]
         start = time.monotonic()
         process = subprocess.Popen(
