@@ -6,22 +6,13 @@ import numpy as np
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.fidelity import asked_points, distances_of
+from defplan_mj.body.orientation import direction
 from defplan_mj.body.surface import Surface
 
-AXES = ("x", "y", "z", "-x", "-y", "-z")
 _POINTS = 2000  # compared with their mirror images
 _MIRROR = 0.02  # of the length: mean distance up to which a shape is its own image
 _ALIKE = 2e-3  # the same, up to which y is a mirror whatever the others are
 _CLEARLY = 2.0  # a better mirror than y has to be so many times better
-
-
-def vector(name: str) -> np.ndarray:
-    """Return the unit vector (3,) of an axis such as "-y"."""
-    if name not in AXES:
-        raise DefplanError(f"there is no axis {name}: it is one of {', '.join(AXES)}")
-    unit = np.zeros(3)
-    unit["xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
-    return unit
 
 
 def turn(
@@ -38,7 +29,7 @@ def turn(
         up, forward: what the user says, or None.
         said_up, said_forward: what the format says, or None.
     """
-    if up and forward and vector(up) @ vector(forward) != 0.0:
+    if up and forward and direction(up) @ direction(forward) != 0.0:
         raise DefplanError(f"up is {up} and forward {forward}: they must be different axes")
     if up is None and forward is None and said_up is None:
         return _guess(surface)
@@ -51,7 +42,7 @@ def turn(
         forward = said_forward if fits else _other(surface, up)
         why += "" if fits else ", forward a guess"
     assert up is not None and forward is not None
-    x, z = vector(forward), vector(up)
+    x, z = direction(forward), direction(up)
     matrix = np.stack([x, np.cross(z, x), z])
     if np.allclose(matrix, np.eye(3)):
         return matrix, ""
@@ -66,7 +57,7 @@ def _extent(surface: Surface) -> np.ndarray:
 
 
 def _crosses(first: str, second: str | None) -> bool:
-    return second is None or vector(first) @ vector(second) == 0.0
+    return second is None or direction(first) @ direction(second) == 0.0
 
 
 def _error(surface: Surface, axis: int) -> float:
@@ -102,7 +93,7 @@ def _guess(surface: Surface) -> tuple[np.ndarray, str]:
     up, forward = ("y", "xyz"[other])
     if side == 0 and extent[1] > 1.2 * extent[2]:
         up, forward = "z", "y"
-    x, z = vector(forward), vector(up)
+    x, z = direction(forward), direction(up)
     return np.stack([x, np.cross(z, x), z]), (
         f"turned by a guess: the mesh is its own mirror image along {'xyz'[side]}, so {up} of the"
         f" file is taken as up and {forward} as forward; --up and --forward overrule"

@@ -10,13 +10,13 @@ from threadpoolctl import threadpool_limits
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
-from defplan_mj.body.axes import vector
 from defplan_mj.body.convergence import stiffness_correction
 from defplan_mj.body.cubature import drag_points
 from defplan_mj.body.elasticity import linear_modes
 from defplan_mj.body.loading import Filled, fill_file
 from defplan_mj.body.model import LIMITS, Body
 from defplan_mj.body.options import BodyOptions
+from defplan_mj.body.orientation import direction
 from defplan_mj.body.reduction import reduce_shapes
 from defplan_mj.body.rotation_strain import RotationStrain, feature_map
 from defplan_mj.body.tetmesh import TetMesh, boundary, lumped_mass, quality
@@ -54,7 +54,7 @@ def check_options(options: BodyOptions) -> None:
     material = options.material
     for axis in (options.up, options.forward):
         if axis is not None:
-            vector(axis)
+            direction(axis)
     for name, value in (
         ("drag_error", options.drag_error),
         ("length", 1.0 if options.length is None else options.length),
