@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from defplan_mj.base.space import SPACES
 from defplan_mj.gait.skills import can_steer, faults, judge
 from defplan_mj.gait.switching import Switching
 from defplan_mj.task import GaitTask
@@ -29,7 +30,7 @@ def switched(tasks, advance, turn, spread=0.0, fallen=0, space="planar"):
     tilt = np.zeros(len(task))
     tilt[2 : 2 + fallen] = 1.0
     down = np.zeros(len(task), bool)
-    return Switching(tuple(tasks), space, 1.0, task, move, turns, tilt, down)
+    return Switching(tuple(tasks), SPACES[space], 1.0, task, move, turns, tilt, down)
 
 
 def test_gaits_that_do_what_they_are_called_are_kept():
