@@ -223,3 +223,9 @@ def _header(path: str | Path) -> dict[str, Any]:
     except Exception:  # of another kind, or damaged: np.load raises a dozen kinds
         return {}
     return header if isinstance(header, dict) else {}
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes (64 hex digits)."""
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

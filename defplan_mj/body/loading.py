@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import resource
+from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body import axes
@@ -33,6 +36,8 @@ _ENVELOPE = 2e-3  # of the diagonal, at most
 _SIMPLIFIED = 2.5e-3  # of the length: how far a simplified surface may be from its own
 _FEW = 0.6  # of the wanted vertices: with fewer it is filled again, finer
 _CRUMB = 1e-3  # share of the volume
+_SHAPING = ("vertices", "length", "up", "forward", "strict", "shape_error")
+"""The options that a mesh depends on."""
 
 
 @dataclass
@@ -54,6 +59,10 @@ class Filled:
     source: dict = field(default_factory=dict)
 
 
+_LAST: dict[tuple, Filled] = {}
+"""What was filled last: who guesses a task of a mesh builds its body next, and fTetWild takes long."""
+
+
 def fill_file(
     path: Path, options: BodyOptions, progress: Progress = no_progress, measured: bool = True
 ) -> Filled:
@@ -66,8 +75,19 @@ def fill_file(
         DefplanError: the file cannot be used; the sentence says why and what mends it.
     """
     progress("reading the mesh", 0.0)
-    raw, warnings = _place(read_file(path), options, path)
     measured = measured or options.shape_error is not None
+    if not path.is_file():
+        return _fill_file(path, options, progress, measured)  # which says what is wrong
+    key = (files.file_hash(path), path, measured, *(getattr(options, name) for name in _SHAPING))
+    if key not in _LAST:
+        filled = _fill_file(path, options, progress, measured)
+        _LAST.clear()
+        _LAST[key] = filled
+    return deepcopy(_LAST[key])
+
+
+def _fill_file(path: Path, options: BodyOptions, progress: Progress, measured: bool) -> Filled:
+    raw, warnings = _place(read_file(path), options, path)
     anew: list[str] = []
     if len(raw.tetrahedra):
         try:
@@ -99,6 +119,27 @@ def fill_file(
             )
     filled.notes, filled.warnings = raw.notes, warnings
     return filled
+
+
+def read_shape(path: Path, length: float | None = None) -> Surface | TetMesh:
+    """Return what a file holds, mended if need be, along the file's axes: to look at, before it is filled.
+
+    Args:
+        length: the longest extent is scaled to it, m.
+
+    Raises:
+        DefplanError: the file cannot be used; the sentence says why and what mends it.
+    """
+    raw = read_file(path)
+    cells = raw.tetrahedra if len(raw.tetrahedra) else raw.triangles
+    extent = check_extent(raw.vertices, cells, path)
+    scale = 1.0 if length is None else length / extent.max()
+    raw = replace(raw, vertices=scale * np.where(np.isfinite(raw.vertices), raw.vertices, 0.0))
+    if len(raw.tetrahedra):
+        with suppress(DefplanError):
+            return check_tetrahedra(raw.vertices, raw.tetrahedra, path)
+        raw = replace(raw, triangles=_skin(raw))
+    return _sound(_simplify(raw, path)[0], path, strict=False).surface
 
 
 def _place(raw: RawMesh, options: BodyOptions, path: Path) -> tuple[RawMesh, list[str]]:

@@ -12,7 +12,8 @@ import numpy as np
 
 from defplan_mj.base import files, threads
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.pipeline.provenance import file_hash, plugin_data
+from defplan_mj.base.files import file_hash
+from defplan_mj.pipeline.provenance import plugin_data
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import write_json
 from defplan_mj.studies.gait_solvers import SWITCHING_CYCLES

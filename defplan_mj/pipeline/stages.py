@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from defplan_mj.base.files import file_hash
 from defplan_mj.pipeline.comparison import COMPARISON
 from defplan_mj.pipeline.evaluation import EVALUATION, MOVING
 from defplan_mj.pipeline.making import BODY, GAIT, PLANNER, SURROGATE
-from defplan_mj.pipeline.provenance import file_hash
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import RUN_FILE
 

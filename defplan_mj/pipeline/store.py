@@ -16,7 +16,8 @@ from typing import IO, Any
 from defplan_mj import __version__
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.pipeline.provenance import content_of, file_hash, plain_data
+from defplan_mj.base.files import file_hash
+from defplan_mj.pipeline.provenance import content_of, plain_data
 
 FORMAT_VERSION = 1
 RUN_FILE = "run.json"

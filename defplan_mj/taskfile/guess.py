@@ -16,11 +16,12 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.convergence import stiffness_correction
 from defplan_mj.body.elasticity import linear_modes
-from defplan_mj.body.meshing import fill
+from defplan_mj.body.fidelity import MOST_DISTANCE
+from defplan_mj.body.loading import fill_file, read_shape
 from defplan_mj.body.model import Material, Medium
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.body.orientation import direction, turned
-from defplan_mj.body.surface import Surface, load_mesh
+from defplan_mj.body.surface import Surface
 from defplan_mj.body.tetmesh import TetMesh, lumped_mass
 from defplan_mj.dynamics.terrain import STANDARD_GRAVITY
 from defplan_mj.dynamics.world import GROUND
@@ -29,7 +30,6 @@ from defplan_mj.taskfile.look import View, look
 
 MEDIA = ("water", "ground")
 _ROUND = 0.1  # by how much the two extents across the axis of a round body may differ
-_COARSE = 800  # vertices
 
 
 @dataclass(frozen=True)
@@ -99,14 +99,14 @@ def guess_task(
     size = 1.0 if length is None else length
     progress("task: reading the mesh", 0.0)
     with threadpool_limits(limits=1):
-        loaded = load_mesh(path, size)
+        loaded = read_shape(path, size)
         view = look(loaded, path.suffix.lower(), medium, up, forward)
         body = turned(loaded, view.up, view.forward)
         axis = _own_axis(body, view) if medium == "water" else None
         kind = "ground" if medium == "ground" else "planar" if axis is None else "spatial"
         chosen = dataclasses.replace(BODIES[kind], length=size, up=view.up, forward=view.forward)
         progress("task: finding its natural frequencies", 0.3)
-        hertz = _frequencies(body, chosen, str(path))
+        hertz = _frequencies(path, chosen)
     chosen, hertz = softened(kind, chosen, hertz, size)
     height = float(np.ptp(body.vertices[:, 2]))
     timestep, steps = rhythm(kind, hertz, height)
@@ -194,25 +194,14 @@ def softened(
     return dataclasses.replace(options, medium=medium, material=material), hertz * faster
 
 
-def _frequencies(body: Surface | TetMesh, options: BodyOptions, name: str) -> np.ndarray:
+def _frequencies(path: Path, options: BodyOptions) -> np.ndarray:
     """Return the natural frequencies with the control stiffness, Hz."""
-    mesh = body if isinstance(body, TetMesh) else _coarse(body, options.vertices, name)
-    material = options.material
+    mesh, material = fill_file(path, options).mesh, options.material
     mass = lumped_mass(mesh.vertices, mesh.tetrahedra, material.density)
     values, modes = linear_modes(mesh, material, mass, options.modes)
     correction = stiffness_correction(mesh, material, mass, modes)
     hertz = np.sqrt(values * correction.young) / (2 * np.pi)
     return hertz * np.sqrt(1.0 + material.control_stiffness)
-
-
-def _coarse(surface: Surface, vertices: int, name: str) -> TetMesh:
-    """Return a surface filled coarsely if that loses nothing: frequencies are corrected for it."""
-    try:
-        return fill(surface, min(vertices, _COARSE), name)[0]
-    except DefplanError:
-        if vertices <= _COARSE:
-            raise
-        return fill(surface, vertices, name)[0]
 
 
 # ---- what it is to do
@@ -264,9 +253,14 @@ def _triple(vector: np.ndarray) -> tuple[float, float, float]:
 
 
 BODIES = {
-    "planar": BodyOptions(modes=5, basis=31, samples=16, amplitude=2.0),
+    "planar": BodyOptions(modes=5, basis=31, samples=16, amplitude=2.0, shape_error=MOST_DISTANCE),
     "spatial": BodyOptions(
-        vertices=1500, modes=10, basis=60, samples=24, medium=Medium(righting_height=0.0)
+        vertices=1500,
+        modes=10,
+        basis=60,
+        samples=24,
+        medium=Medium(righting_height=0.0),
+        shape_error=MOST_DISTANCE,
     ),
     "ground": BodyOptions(
         vertices=1500,
@@ -276,6 +270,7 @@ BODIES = {
         amplitude=1.0,
         material=Material(damping=0.15),
         medium=GROUND.medium,
+        shape_error=MOST_DISTANCE,
     ),
 }
 """How bodies are built: about as those of the shipped tasks."""
