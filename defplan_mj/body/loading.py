@@ -13,11 +13,12 @@ import numpy as np
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
-from defplan_mj.body import axes
 from defplan_mj.body.fidelity import MOST_DISTANCE, Fidelity, distances, measure
 from defplan_mj.body.formats import RawMesh, read_file
+from defplan_mj.body.look import View, look
 from defplan_mj.body.meshing import fill
 from defplan_mj.body.options import BodyOptions
+from defplan_mj.body.orientation import frame_of
 from defplan_mj.body.repair import Repaired, edge_pieces, repair
 from defplan_mj.body.surface import (
     Surface,
@@ -121,11 +122,15 @@ def _fill_file(path: Path, options: BodyOptions, progress: Progress, measured: b
     return filled
 
 
-def read_shape(path: Path, length: float | None = None) -> Surface | TetMesh:
-    """Return what a file holds, mended if need be, along the file's axes: to look at, before it is filled.
+def read_view(
+    path: Path, medium: str, length: float, up: str | None = None, forward: str | None = None
+) -> tuple[Surface | TetMesh, View]:
+    """Return what a file holds, mended if need be, along the file's axes, and which way it looks.
 
     Args:
+        medium: 'water' or 'ground'.
         length: the longest extent is scaled to it, m.
+        up, forward: axes of the file, if the user says so.
 
     Raises:
         DefplanError: the file cannot be used; the sentence says why and what mends it.
@@ -133,13 +138,16 @@ def read_shape(path: Path, length: float | None = None) -> Surface | TetMesh:
     raw = read_file(path)
     cells = raw.tetrahedra if len(raw.tetrahedra) else raw.triangles
     extent = check_extent(raw.vertices, cells, path)
-    scale = 1.0 if length is None else length / extent.max()
-    raw = replace(raw, vertices=scale * np.where(np.isfinite(raw.vertices), raw.vertices, 0.0))
+    finite = np.where(np.isfinite(raw.vertices), raw.vertices, 0.0)
+    raw = replace(raw, vertices=length / extent.max() * finite)
+    shape: Surface | TetMesh | None = None
     if len(raw.tetrahedra):
         with suppress(DefplanError):
-            return check_tetrahedra(raw.vertices, raw.tetrahedra, path)
+            shape = check_tetrahedra(raw.vertices, raw.tetrahedra, path)
         raw = replace(raw, triangles=_skin(raw))
-    return _sound(_simplify(raw, path)[0], path, strict=False).surface
+    if shape is None:
+        shape = _sound(_simplify(raw, path)[0], path, strict=False).surface
+    return shape, look(shape, medium, *_axes(raw, up, forward))
 
 
 def _place(raw: RawMesh, options: BodyOptions, path: Path) -> tuple[RawMesh, list[str]]:
@@ -149,11 +157,16 @@ def _place(raw: RawMesh, options: BodyOptions, path: Path) -> tuple[RawMesh, lis
     extent = check_extent(raw.vertices, cells, path)
     vertices, notes = np.where(np.isfinite(raw.vertices), raw.vertices, 0.0), list(raw.notes)
     faces = _skin(raw) if len(raw.tetrahedra) else raw.triangles
-    shape = Surface(vertices, faces)
-    rotation, said = axes.turn(shape, options.up, options.forward, raw.up, raw.forward)
-    if said:
-        vertices = vertices @ rotation.T
-        notes.append(said)
+    medium = "ground" if options.medium.gravity else "water"
+    view = look(Surface(vertices, faces), medium, *_axes(raw, options.up, options.forward))
+    frame = frame_of(view.up, view.forward)
+    if not np.array_equal(frame, np.eye(3)):
+        vertices = vertices @ frame.T
+        because = f" ({view.why})" if view.why else ""
+        notes.append(
+            f"turned: {view.up} of the file is up, {view.forward} is forward{because};"
+            " --up and --forward overrule"
+        )
         extent = np.ptp(vertices[used], axis=0)
     warnings: list[str] = []
     if options.length is not None:
@@ -165,6 +178,17 @@ def _place(raw: RawMesh, options: BodyOptions, path: Path) -> tuple[RawMesh, lis
             " to M metres"
         )
     return replace(raw, vertices=vertices, notes=notes), warnings
+
+
+def _axes(raw: RawMesh, up: str | None, forward: str | None) -> tuple[str | None, str | None]:
+    """Return what the user says of up and forward, and else what the file's format does."""
+    up = up or (raw.up if forward is None or _across(raw.up, forward) else None)
+    forward = forward or (raw.forward if up is None or _across(raw.forward, up) else None)
+    return up, forward
+
+
+def _across(said: str | None, given: str) -> bool:
+    return said is not None and said[-1] != given[-1]
 
 
 def _skin(raw: RawMesh) -> np.ndarray:

@@ -17,7 +17,8 @@ from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.convergence import stiffness_correction
 from defplan_mj.body.elasticity import linear_modes
 from defplan_mj.body.fidelity import MOST_DISTANCE
-from defplan_mj.body.loading import fill_file, read_shape
+from defplan_mj.body.loading import fill_file, read_view
+from defplan_mj.body.look import View
 from defplan_mj.body.model import Material, Medium
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.body.orientation import direction, turned
@@ -26,7 +27,6 @@ from defplan_mj.body.tetmesh import TetMesh, lumped_mass
 from defplan_mj.dynamics.terrain import STANDARD_GRAVITY
 from defplan_mj.dynamics.world import GROUND
 from defplan_mj.task import GaitTask, Navigation, TaskSpec, Weights
-from defplan_mj.taskfile.look import View, look
 
 MEDIA = ("water", "ground")
 _ROUND = 0.1  # by how much the two extents across the axis of a round body may differ
@@ -99,8 +99,7 @@ def guess_task(
     size = 1.0 if length is None else length
     progress("task: reading the mesh", 0.0)
     with threadpool_limits(limits=1):
-        loaded = read_shape(path, size)
-        view = look(loaded, path.suffix.lower(), medium, up, forward)
+        loaded, view = read_view(path, medium, size, up, forward)
         body = turned(loaded, view.up, view.forward)
         axis = _own_axis(body, view) if medium == "water" else None
         kind = "ground" if medium == "ground" else "planar" if axis is None else "spatial"
