@@ -16,6 +16,7 @@ from defplan_mj.kernel.pack import INTEGRATORS, MAX_SUBSTEPS
 
 FORMAT_VERSION = 2
 MOST_STEPS = 100_000  # in a cycle: a table of them is made
+MOST_TERMS = 10_000_000  # of all sums in that table
 _HASH = re.compile("[0-9a-f]{64}")
 
 
@@ -117,7 +118,7 @@ class Gait:
         files.save_archive(path, "gait", FORMAT_VERSION, self._arrays(), self._meta())
 
     @classmethod
-    def load(cls, path: str | Path) -> Gait:
+    def load(cls, path: files.Source) -> Gait:
         """Read a gait of `save`.
 
         Raises:
@@ -181,6 +182,9 @@ def validate_gait(gait: Gait, where: str) -> None:
     for name in ("alpha", "beta"):
         if getattr(gait, name).shape != expected:
             refuse(name, f"has shape {getattr(gait, name).shape}, wanted {expected}")
+    if steps * gait.alpha.size > MOST_TERMS:
+        refuse("alpha", f"and steps_per_cycle make {steps * gait.alpha.size} terms, at most"
+               f" {MOST_TERMS} can be")  # fmt: skip
     if gait.amplitude.shape != expected[2:]:
         refuse("amplitude", f"has shape {gait.amplitude.shape}, wanted {expected[2:]}")
     if not (gait.amplitude > 0.0).all():

@@ -87,7 +87,7 @@ class Surrogate:
         )
 
     @classmethod
-    def load(cls, path: str | Path) -> Surrogate:
+    def load(cls, path: files.Source) -> Surrogate:
         """Read a surrogate of `save`.
 
         Raises:
