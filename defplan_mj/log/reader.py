@@ -25,7 +25,8 @@ from defplan_mj.base.reading import Packed, first_line, parse_json, read_bytes
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain, terrain_of
 from defplan_mj.gait.gait import Gait
-from defplan_mj.log import bounds, channels, schemas
+from defplan_mj.kernel.pack import MAX_SUBSTEPS
+from defplan_mj.log import bounds, channels, schemas, validate
 from defplan_mj.log.messages import contacts_of
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.surrogate import Surrogate
@@ -147,18 +148,24 @@ class EpisodeLog:
 
     @cached_property
     def body(self) -> Body:
-        """The attached body. Raises DefplanError if the log has none."""
-        return self._part(Body, "body.npz")
+        """The attached body. Raises DefplanError if the log has none, or another than the one that moved."""
+        body = self._part(Body, "body.npz")
+        validate.check_body(self, body.hash)
+        return body
 
     @cached_property
     def gait(self) -> Gait:
         """The attached gait. Raises DefplanError if the log has none."""
-        return self._part(Gait, "gait.npz")
+        gait = self._part(Gait, "gait.npz")
+        validate.check_body(self, gait.body_hash)
+        return gait
 
     @cached_property
     def surrogate(self) -> Surrogate:
         """The attached surrogate. Raises DefplanError if the log has none."""
-        return self._part(Surrogate, "surrogate.npz")
+        surrogate = self._part(Surrogate, "surrogate.npz")
+        validate.check_body(self, surrogate.body_hash)
+        return surrogate
 
     @cached_property
     def terrain(self) -> Terrain | None:
@@ -326,12 +333,10 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
             f"log {path} holds no step of its episode ({contents.fault}): record it anew"
         )
     configuration = parse_json(contents.metadata[schemas.CONFIGURATION_RECORD]["json"])
-    scene = configuration.pop("scene")
-    names = ("target", "centres", "radii", "velocities", "orientation")
-    arrays = {name: np.array(scene[name], float) for name in names}
-    arrays = {
-        k: a.reshape(-1, 3) if k in ("centres", "velocities") else a for k, a in arrays.items()
-    }
+    if not isinstance(configuration, dict):
+        raise ValueError("the configuration is no object")
+    scene = validate.scene_of(configuration.pop("scene"))
+    validate.check_navigation(configuration)
 
     shapes = numbers.get(channels.TARGET_SHAPE, {})
     contacts = numbers.get(channels.CONTACTS, {})
@@ -340,12 +345,12 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         steps += 1
     fault = contents.fault
     ending = contents.metadata.get(schemas.END_RECORD, {})
-    if not fault and steps != int(ending.get("steps", -1)):
+    if not fault and steps != validate.whole_number(ending, "steps", 0, validate.MOST_STEPS):
         fault = f"incomplete: {steps} of {ending.get('steps')} steps are there"
-    modes = int(identity["modes"])
+    modes = validate.whole_number(identity, "modes", 1, validate.MOST_MODES)
     taken = range(1, steps + 1)
     times = {sequence: time for sequence, time, _ in contents.messages[channels.STATE]}
-    return EpisodeLog(
+    log = EpisodeLog(
         path=path,
         fault=fault,
         outcome=ending.get("outcome", ""),
@@ -353,15 +358,15 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         task=identity["task"],
         seed=identity["seed"],
         body_hash=identity["body_hash"],
-        timestep=float(identity["timestep"]),
+        timestep=validate.positive(identity, "timestep"),
         stepping={
-            "substeps": int(identity["substeps"]),
+            "substeps": validate.whole_number(identity, "substeps", 1, MAX_SUBSTEPS),
             "integrator": identity["integrator"],
         },
         configuration=configuration,
         versions=contents.metadata.get(schemas.VERSIONS_RECORD, {}),
         attachments=contents.attachments,
-        scene=Scene(**{**scene, **arrays}),
+        scene=scene,
         time=np.array([times[i] for i in range(steps + 1)]),
         states=np.array([states[i] for i in range(steps + 1)]),
         target_shapes=np.array([shapes[i] for i in taken]).reshape(steps, modes),
@@ -374,6 +379,8 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         numbers=numbers,
         **_cycles(contents, numbers, steps),
     )
+    validate.validate_log(log, modes)
+    return log
 
 
 def _cycles(contents: _Contents, numbers: dict[str, dict], steps: int) -> dict[str, np.ndarray]:
@@ -390,7 +397,7 @@ def _cycles(contents: _Contents, numbers: dict[str, dict], steps: int) -> dict[s
     m = len(ends)
     return {
         "cycle_steps": np.array([0, *ends], int),
-        "gait_index": np.array([gaits[n][0] for n in ends], int),
+        "gait_index": np.array(validate.gait_numbers([gaits[n][0] for n in ends]), int),
         "values": np.array([values[n] for n in ends]).reshape(m, -1 if m else 0),
         "reward": np.array([rewards[n][0] for n in ends]),
         "laser": np.array([scans[n] for n in ends]).reshape(m, -1 if m else 0),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import struct
 import zipfile
@@ -330,13 +331,15 @@ def log_bombs(log: bytes) -> dict[str, Callable[[], bytes]]:
             log, attachments={"terrain.json": b"[" + b"[]," * 15_000_000 + b"[]]"}
         ),
         **{
-            f"{name}.npz: {what}": lambda name=name, make=make: edited(
-                log, attachments={f"{name}.npz": make()}
-            )
+            f"{name}.npz: {what}": functools.partial(_attaching, log, f"{name}.npz", make)
             for name in ("body", "gait")
             for what, make in archive_bombs().items()
         },
     }
+
+
+def _attaching(log: bytes, name: str, make: Callable[[], bytes]) -> bytes:
+    return edited(log, attachments={name: make()})
 
 
 def _varint(number: int) -> bytes:
@@ -345,3 +348,158 @@ def _varint(number: int) -> bytes:
         out.append(number & 0x7F | 0x80)
         number >>= 7
     return bytes([*out, number])
+
+
+# ---- valid frames whose content makes no sense
+
+
+def resaved(path: Any, kind: str, version: int, change: Callable[[dict, dict], Any]) -> bytes:
+    """Return an archive with other arrays and another meta, and the right hash of them."""
+    arrays, meta, _ = files.load_archive(path, kind, version)
+    change(arrays, meta)
+    return archive(kind, version, arrays, meta)
+
+
+def senseless_logs(log: bytes) -> dict[str, bytes]:
+    """Return whole logs of senseless content by name; `log` has two modes or more and some cycles."""
+    return {
+        **_identities(log),
+        **_configurations(log),
+        **_endings(log),
+        **_numbers(log),
+        **_attachments(log),
+    }
+
+
+def _identities(log: bytes) -> dict[str, bytes]:
+    made = {}
+    for field, values in {
+        "timestep": ("0", "-0.04", "nan", "inf", "1e999", "", "x", "0x1"),
+        "substeps": ("0", "-1", "65", "1e9", "2.5", "", "9" * 5000),
+        "integrator": ("", "euler", "\x1b[2J"),
+        "modes": ("0", "-1", "1", "17", "1000000000000", "x", ""),
+        "body_hash": ("", "0" * 64, "<script>alert(1)</script>"),
+    }.items():
+        for value in values:
+            made[f"{field} {value[:20]!r}"] = edited(log, {"defplan": setting(field, value)})
+        made[f"no {field}"] = edited(log, {"defplan": functools.partial(_without, field)})
+    return made
+
+
+def _without(field: str, entries: dict[str, str]) -> None:
+    del entries[field]
+
+
+_TEXTS = ("null", "[]", "3", '"x"', "{}", "", "{", '{"scene": null}', '{"scene": []}')
+_NOT_A_NUMBER = float("nan")
+_SCENES: dict[str, tuple[Any, ...]] = {
+    "target": (None, [], [1.0], [1.0, "x", 2.0], [1e308, 0, 0], [_NOT_A_NUMBER, 0, 0], {}),
+    "centres": (None, [[1.0]], [[0, 0, 0]] * 2, 3.0),
+    "radii": (None, [0.0, 1.0, 1.0], [-1.0] * 3, [float("inf")] * 3, "xxx", [[1.0]] * 3),
+    "velocities": (None, [], [[0, 0, 0]]),
+    "orientation": (None, [], [0, 0, 0, 0], [1, 1, 0, 0], [[1, 0, 0, 0]]),
+    "shape": (None, "cube", 3, []),
+    "goal_radius": (None, "1", 0, -1, _NOT_A_NUMBER),
+    "max_cycles": (None, 0, -1, 1.5, 10**15, True),
+    "meta": (None, []),
+    "surprise": (1,),
+}
+_NAVIGATIONS: tuple[Any, ...] = (
+    *([], 3, {"beams": -1}, {"beams": 10**12}, {"beams": "64"}, {"laser_range": 0}),
+    *({"laser_range": "x"}, {"laser_range": _NOT_A_NUMBER}, {"sensor": 3}, {"sensor": "\x1b[2J"}),
+)
+
+
+def _configurations(log: bytes) -> dict[str, bytes]:
+    made = {}
+    for text in (*_TEXTS, nested(100_000).decode(), nested(500).decode()):
+        edits = {"configuration": setting("json", text)}
+        made[f"configuration {text[:20]!r} ({len(text)})"] = edited(log, edits)
+    for field, values in _SCENES.items():
+        for value in values:
+            change = configured(functools.partial(_set_in_scene, field, value))
+            made[f"scene {field} {value!r:.30}"] = edited(log, {"configuration": change})
+    for value in _NAVIGATIONS:
+        change = configured(functools.partial(_set, "navigation", value))
+        made[f"navigation {value!r:.40}"] = edited(log, {"configuration": change})
+    return made
+
+
+def _set_in_scene(field: str, value: Any, configuration: dict[str, Any]) -> None:
+    configuration["scene"][field] = value
+
+
+def _set(field: str, value: Any, configuration: dict[str, Any]) -> None:
+    configuration[field] = value
+
+
+def _endings(log: bytes) -> dict[str, bytes]:
+    made = {}
+    for value in ("won", "running", "\x1b[31msuccess"):
+        made[f"outcome {value!r}"] = edited(log, {"end": setting("outcome", value)})
+    for value in ("-1", "x", "", "1e9", "9" * 5000):
+        made[f"steps {value[:20]!r}"] = edited(log, {"end": setting("steps", value)})
+    return made
+
+
+_CHANGES: dict[str, dict[str, Callable[[list[float]], list[float] | None]]] = {
+    "/robot/state": {
+        "shorter": lambda v: v[:-1],
+        "longer": lambda v: [*v, 0.0],
+        "empty": lambda v: [],
+        "NaN": lambda v: [_NOT_A_NUMBER, *v[1:]],
+        "infinite": lambda v: [*v[:-1], float("inf")],
+        "without attitude": lambda v: [*v[:3], 0, 0, 0, 0, *v[7:]],
+        "missing": lambda v: None,
+    },
+    "/control/target_shape": {
+        "shorter": lambda v: v[:-1],
+        "NaN": lambda v: [_NOT_A_NUMBER, *v[1:]],
+        "missing": lambda v: None,
+    },
+    "/contacts": {"empty": lambda v: [], "NaN": lambda v: [_NOT_A_NUMBER]},
+    "/control/gait": {
+        "negative": lambda v: [-1.0, *v[1:]],
+        "too large": lambda v: [1e9, *v[1:]],
+        "larger": lambda v: [float(2**40), *v[1:]],
+        "half": lambda v: [0.5, *v[1:]],
+        "NaN": lambda v: [_NOT_A_NUMBER, *v[1:]],
+        "empty": lambda v: [],
+    },
+    "/planner/values": {"shorter": lambda v: v[:1], "empty": lambda v: []},
+    "/planner/reward": {"NaN": lambda v: [_NOT_A_NUMBER], "empty": lambda v: []},
+    "/laser/ranges": {"NaN": lambda v: [_NOT_A_NUMBER, *v[1:]]},
+}
+
+
+def _numbers(log: bytes) -> dict[str, bytes]:
+    made = {}
+    for topic, kinds in _CHANGES.items():
+        for kind, change in kinds.items():
+            made[f"{topic} {kind}"] = edited(
+                log, messages=functools.partial(_changed_in, topic, change)
+            )
+    made["one state is shorter"] = edited(
+        log, messages=lambda t, n, v: v[:-1] if t == "/robot/state" and n == 3 else v
+    )
+    return made
+
+
+def _changed_in(topic: str, change: Callable, here: str, sequence: int, numbers: Any) -> Any:
+    return change(numbers) if here == topic and numbers is not None else numbers
+
+
+def _attachments(log: bytes) -> dict[str, bytes]:
+    made = {"no body.npz": edited(log, attachments={"body.npz": None})}
+    for name in ("body.npz", "gait.npz", "surrogate.npz", "terrain.json"):
+        for data in (b"", b"null", b"PK\5\6" + bytes(18), nested(100_000)):
+            made[f"{name} {data[:8]!r} ({len(data)})"] = edited(log, attachments={name: data})
+    for data in (
+        b"{}",
+        b"[]",
+        b'{"geoms": 3, "heightfield": null}',
+        b'{"geoms": [3], "heightfield": null}',
+        b'{"geoms": [], "heightfield": {"heights": [[NaN]], "half_size": 1, "position": 0}}',
+    ):
+        made[f"terrain.json {data!r:.60}"] = edited(log, attachments={"terrain.json": data})
+    return made
