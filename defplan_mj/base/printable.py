@@ -11,6 +11,15 @@ _UNSAFE = re.compile(
 )
 
 
+MOST_LETTERS = 100
+"""Of a name that a file gives to something."""
+
+
+def is_name(text: str) -> bool:
+    """Return whether a text can be a name: not empty, not long, nothing in it that steers a terminal."""
+    return 0 < len(text) <= MOST_LETTERS and not _UNSAFE.search(text)
+
+
 def printable(text: str, lines: bool = False) -> str:
     """Return `text` with what would steer a terminal written out, for example as \\x1b.
 

@@ -27,6 +27,11 @@ class Parser(argparse.ArgumentParser):
         hint = "" if message.endswith("?") else f"; see {self.prog} --help"
         self.exit(2, f"{self.prog}: {printable(message)}{hint}\n")
 
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Write help, or an error; argparse itself says nothing of what could not be written."""
+        if message:
+            print(message, end="", file=file or sys.stderr, flush=True)
+
     def refuse(self, rest: Sequence[str]) -> NoReturn:
         """Stop with a sentence on the first of the arguments that nothing here takes."""
         options = [word.partition("=")[0] for word in rest if word.startswith("-")]

@@ -12,6 +12,7 @@ import numpy as np
 
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.printable import MOST_LETTERS, is_name
 from defplan_mj.kernel.pack import INTEGRATORS, MAX_SUBSTEPS
 
 FORMAT_VERSION = 2
@@ -155,10 +156,12 @@ def validate_gait(gait: Gait, where: str) -> None:
         refuse("body_hash", "must be 64 hexadecimal digits")
     if (
         not names
-        or not all(isinstance(n, str) and n for n in names)
+        or not all(isinstance(n, str) and is_name(n) for n in names)
         or len(set(names)) < len(names)
     ):
-        refuse("task_names", "must be different names, one or more")
+        refuse(
+            "task_names", f"must be different names of at most {MOST_LETTERS} letters, one or more"
+        )
     if not isinstance(gait.timestep, (int, float)) or not 0.0 < gait.timestep < np.inf:
         refuse("timestep", f"is {gait.timestep}, it must be positive")
     if isinstance(steps, bool) or not isinstance(steps, int) or not 1 <= steps <= MOST_STEPS:

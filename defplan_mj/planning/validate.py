@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.printable import MOST_LETTERS, is_name
 
 if TYPE_CHECKING:
     from defplan_mj.planning.surrogate import Surrogate
@@ -30,8 +31,8 @@ def validate_surrogate(surrogate: Surrogate, where: str) -> None:
         )
 
     names = surrogate.task_names
-    if not names or not all(isinstance(name, str) and name for name in names):
-        refuse("task_names", "must be names, one or more")
+    if not names or not all(isinstance(name, str) and is_name(name) for name in names):
+        refuse("task_names", f"must be names of at most {MOST_LETTERS} letters, one or more")
     if len(set(names)) < len(names) or len(names) > _MOST_GAITS:
         refuse("task_names", f"must be different and at most {_MOST_GAITS}")
     for name in ("body_hash", "gait_hash"):
