@@ -5,48 +5,42 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import signal
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from defplan_mj.base import threads
 from defplan_mj.base.errors import DefplanError
-
-STOPPED = 130  # what shells report for a program ended by Ctrl-C
+from defplan_mj.base.printable import printable
+from defplan_mj.cli import streams
+from defplan_mj.cli.stops import Stops, Terminated
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (without the program's name; None: that of this process).
 
     Returns:
-        0 if the command did what it was asked, 1 on an error, 2 on wrong usage, 130 on Ctrl-C.
+        0 if the command did what it was asked, 1 on an error, 2 on wrong usage, 130 on Ctrl-C, 143 on
+        SIGTERM.
     """
     debug = "--debug" in (sys.argv if argv is None else argv)
+    stops = Stops()
     try:
+        if argv is None:  # the process is ours
+            streams.prepare()
+        stops.listen()
         threads.set_environment(1)  # before anything loads numpy
         return _run(argv)
-    except SystemExit as stop:  # argparse: --help or wrong usage
-        return stop.code if isinstance(stop.code, int) else 1
     except BaseException as error:
-        with _one_is_enough():
-            if debug:
-                traceback.print_exc()
-            return _report(error)
-
-
-@contextlib.contextmanager
-def _one_is_enough() -> Iterator[None]:
-    """Ignore a second Ctrl-C while the first one, or an error, is being told."""
-    try:
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not the main thread of a program that calls us
-        yield
-        return
-    try:
-        yield
+        stops.acknowledge()
+        if isinstance(error, SystemExit) and stops.received is None:
+            return _left(error)  # argparse: --help or wrong usage
+        if debug:
+            traceback.print_exc()
+        return _report(error, stops)
     finally:
-        signal.signal(signal.SIGINT, before)
+        if argv is not None or stops.received is None:
+            stops.leave()  # else Python would be interrupted while it leaves
 
 
 def _run(argv: Sequence[str] | None) -> int:
@@ -60,6 +54,17 @@ def _run(argv: Sequence[str] | None) -> int:
         return arguments.command(arguments, console)
 
 
+def _left(stop: SystemExit) -> int:
+    """Return the exit code of argparse; its text may not have got out."""
+    code = stop.code if isinstance(stop.code, int) else 1
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code
+    except OSError as error:
+        return _report(error, Stops())
+
+
 def _drop_output() -> None:
     """Throw away what stdout can no longer take: Python would complain of it again on leaving."""
     try:
@@ -68,14 +73,16 @@ def _drop_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _report(error: BaseException) -> int:
+def _report(error: BaseException, stops: Stops) -> int:
     """Say `error` in one sentence on stderr; return the exit code."""
-    if isinstance(error, KeyboardInterrupt):
+    if isinstance(error, KeyboardInterrupt) or stops.received is not None:
+        # whatever else it looks like: C code and imports make other errors of an interrupt
         _say("stopped; run it again to go on")
+        code = 143 if isinstance(error, Terminated) else stops.code
         if threads.abandoned():
             # a solver still computes in C++: Python would crash when it takes the ground from under it
-            os._exit(STOPPED)
-        return STOPPED
+            os._exit(code)
+        return code
     if isinstance(error, OSError):
         _drop_output()
     if isinstance(error, BrokenPipeError):  # the reader, e.g. `head`, has seen enough
@@ -103,4 +110,4 @@ def _system_error(error: OSError) -> str:
 
 def _say(sentence: str) -> None:
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed or on the full disk
-        print(f"defplan: {sentence}", file=sys.stderr, flush=True)
+        print(f"defplan: {printable(sentence)}", file=sys.stderr, flush=True)

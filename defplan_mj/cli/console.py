@@ -11,6 +11,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.printable import printable
+from defplan_mj.cli import streams
+
 if TYPE_CHECKING:
     from defplan_mj.base.progress import Progress
 
@@ -56,10 +60,12 @@ class Console:
     def say(self, text: str) -> None:
         """Print a message for the user (stderr), unless --quiet."""
         if not self.quiet:
-            print(text, file=sys.stderr, flush=True)
+            print(printable(text, lines=True), file=sys.stderr, flush=True)
 
     def result(self, data: Mapping[str, Any], text: str) -> None:
         """Print the result: `data` as one JSON object with --json, else `text`."""
+        if streams.is_closed(1):
+            raise DefplanError("stdout is closed: the work is done, its result cannot be printed")
         if self._stdout is not None:
             from defplan_mj.base import files  # NumPy is loaded only when there is a result
 
@@ -67,7 +73,7 @@ class Console:
             with open(os.dup(self._stdout), "w", encoding="utf-8") as stream:
                 stream.write(line)
         else:
-            print(text)
+            print(printable(text, lines=True))
 
     def asker(self) -> Callable[[str], bool] | None:
         """Return what asks the user a question; None if nobody is there to answer."""
@@ -88,7 +94,7 @@ class Console:
 
 def _ask(question: str) -> bool:
     """Return whether the user answers yes; no answer is no."""
-    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    print(f"{printable(question, lines=True)} [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
@@ -104,7 +110,7 @@ class _PlainLines:
         if message == self.message and now < self.next:
             return
         self.message, self.next = message, now + PLAIN_SECONDS
-        print(f"{message} {100 * fraction:3.0f}%", file=sys.stderr, flush=True)
+        print(f"{printable(message)} {100 * fraction:3.0f}%", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
@@ -115,7 +121,7 @@ def _bars() -> Iterator[Progress]:
     from rich.progress import Progress as RichProgress
 
     columns = (
-        TextColumn("{task.description:<34}"),
+        TextColumn("{task.description:<34}", markup=False),
         BarColumn(),
         TaskProgressColumn(),
         TimeElapsedColumn(),
@@ -137,7 +143,7 @@ def _bars() -> Iterator[Progress]:
             if message not in shown:
                 for earlier in shown.values():  # what came before is done
                     bars.update(earlier, completed=1.0)
-                shown[message] = bars.add_task(message, total=1.0)
+                shown[message] = bars.add_task(printable(message), total=1.0)
             bars.update(shown[message], completed=min(max(fraction, 0.0), 1.0))
 
         yield show
@@ -148,7 +154,7 @@ def _bars() -> Iterator[Progress]:
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str = "") -> str:
     """Return a plain-text table: first column to the left, the others to the right."""
-    text = [[str(cell) for cell in row] for row in rows]
+    text = [[printable(str(cell)) for cell in row] for row in rows]
     width = [max(len(c), *(len(r[i]) for r in text), 0) for i, c in enumerate(columns)]
 
     def line(cells: Sequence[str]) -> str:

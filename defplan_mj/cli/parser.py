@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from defplan_mj import __version__
+from defplan_mj.base.printable import printable
 from defplan_mj.cli import body, commands, logs, new
 
 _AXES = ("x", "-x", "y", "-y", "z", "-z")
@@ -24,7 +25,12 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         hint = "" if message.endswith("?") else f"; see {self.prog} --help"
-        self.exit(2, f"{self.prog}: {message}{hint}\n")
+        self.exit(2, f"{self.prog}: {printable(message)}{hint}\n")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Write help, or an error; argparse itself says nothing of what could not be written."""
+        if message:
+            print(message, end="", file=file or sys.stderr, flush=True)
 
     def refuse(self, rest: Sequence[str]) -> NoReturn:
         """Stop with a sentence on the first of the arguments that nothing here takes."""

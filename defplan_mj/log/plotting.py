@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.printable import printable
 
 INK, FAINT = "#2b2f33", "#9aa1a8"
 PATH, OBSTACLE, TARGET, BODY = "#2e8b57", "#4a6fb5", "#c8392b", "#1f7a8c"
@@ -40,6 +41,11 @@ STYLE: Any = {
     "savefig.facecolor": "white",
     "svg.hashsalt": "defplan",  # the same figure gives the same file
 }
+
+
+def label_of(text: str) -> str:
+    """Return a name as matplotlib can draw it, whatever is in it: no formula, nothing that steers."""
+    return printable(text).replace("\\", "\\\\").replace("$", r"\$")
 
 
 styled = matplotlib.rc_context(STYLE)

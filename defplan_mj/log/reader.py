@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import struct
-import tempfile
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -19,28 +17,36 @@ from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Message, Metadata
-from mcap.stream_reader import breakup_chunk
+from mcap.records import Attachment, Channel, Chunk, Metadata
 
+from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.reading import Packed, first_line, parse_json, read_bytes
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain, terrain_of
 from defplan_mj.gait.gait import Gait
-from defplan_mj.log import channels, schemas
+from defplan_mj.kernel.pack import MAX_SUBSTEPS
+from defplan_mj.log import bounds, channels, schemas, validate
 from defplan_mj.log.messages import contacts_of
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.surrogate import Surrogate
 
 _MAGIC = b"\x89MCAP0\r\n"
-_LARGEST_CHUNK = 1 << 30
+_MOST_HEIGHTS = 10_000_000  # numbers of a terrain
+_MESSAGE = struct.Struct("<HIQQ")
+_LOOKED_INTO = (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.CHUNK)
 _DAMAGE = (
     McapError,
     DecodeError,
     zstandard.ZstdError,
     struct.error,
     ValueError,
-    KeyError,
-    IndexError,
+    LookupError,
+    ArithmeticError,
+    RuntimeError,  # of lz4
+    TypeError,
+    AttributeError,
+    EOFError,
     MemoryError,
 )
 
@@ -49,7 +55,7 @@ class _Saved(Protocol):
     """A part of a run that is loaded from its own file."""
 
     @classmethod
-    def load(cls, path: str | Path) -> Any: ...
+    def load(cls, path: files.Source) -> Any: ...
 
 
 _Part = TypeVar("_Part", bound=_Saved)
@@ -142,25 +148,33 @@ class EpisodeLog:
 
     @cached_property
     def body(self) -> Body:
-        """The attached body. Raises DefplanError if the log has none."""
-        return self._part(Body, "body.npz")
+        """The attached body. Raises DefplanError if the log has none, or another than the one that moved."""
+        body = self._part(Body, "body.npz")
+        validate.check_body(self, body.hash)
+        return body
 
     @cached_property
     def gait(self) -> Gait:
         """The attached gait. Raises DefplanError if the log has none."""
-        return self._part(Gait, "gait.npz")
+        gait = self._part(Gait, "gait.npz")
+        validate.check_body(self, gait.body_hash)
+        return gait
 
     @cached_property
     def surrogate(self) -> Surrogate:
         """The attached surrogate. Raises DefplanError if the log has none."""
-        return self._part(Surrogate, "surrogate.npz")
+        surrogate = self._part(Surrogate, "surrogate.npz")
+        validate.check_body(self, surrogate.body_hash)
+        return surrogate
 
     @cached_property
     def terrain(self) -> Terrain | None:
         """What the body walks on; None: it swims."""
         if "terrain.json" not in self.attachments:
             return None
-        return terrain_of(json.loads(self.attachments["terrain.json"]))
+        name = f"terrain.json of log {self.path}"
+        with files.fields_of(Packed(name, b""), "terrain"):
+            return terrain_of(parse_json(self.attachments["terrain.json"], _MOST_HEIGHTS))
 
     def channel(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the steps (k,) and numbers (k, n) of a channel of labelled numbers.
@@ -182,15 +196,7 @@ class EpisodeLog:
     def _part(self, kind: type[_Part], name: str) -> _Part:
         if name not in self.attachments:
             raise DefplanError(f"log {self.path} holds no {name}")
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / name
-            path.write_bytes(self.attachments[name])
-            try:
-                return kind.load(path)
-            except DefplanError as error:
-                raise DefplanError(
-                    f"in log {self.path}: {str(error).replace(str(path), name)}"
-                ) from error
+        return kind.load(Packed(f"{name} of log {self.path}", self.attachments[name]))
 
 
 def _needed() -> dict[str, Any]:
@@ -222,15 +228,10 @@ def read_log(path: str | Path) -> EpisodeLog:
         DefplanError: it is missing, not a log of ours, of another version, or cut before its first step.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise DefplanError(f"log {path} does not exist") from error
-    except OSError as error:
-        raise DefplanError(f"cannot read log {path}: {error.strerror}") from error
+    data = read_bytes(path, "log", bounds.MOST_BYTES)
     if data[: len(_MAGIC)] != _MAGIC[: len(data)]:
         raise DefplanError(f"{path} is not an MCAP log")
-    contents = _Contents()
+    contents, budget = _Contents(), bounds.Budget.of(len(data))
     end = len(_MAGIC)
     try:
         for position, opcode, record in _records(data):
@@ -238,8 +239,12 @@ def read_log(path: str | Path) -> EpisodeLog:
             # (a checksum of 0 means that its writer made none)
             if opcode == Opcode.DATA_END and _number(record) not in (0, zlib.crc32(data[:end])):
                 raise ValueError("the data do not match their checksum")
-            _take(contents, opcode, record)
+            budget.look()
+            if opcode in _LOOKED_INTO:
+                _take(contents, opcode, record, budget)
             end = position + 9 + len(record)
+    except bounds.TooMuch as error:
+        contents.fault = f"not read from byte {end} on ({error})"
     except _DAMAGE:
         contents.fault = f"damaged at byte {end}"
     if not contents.fault and data[end:] != _MAGIC:
@@ -248,8 +253,9 @@ def read_log(path: str | Path) -> EpisodeLog:
         contents.fault = "stopped before the episode ended"
     try:
         return _in_order(path, contents)
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
-        raise DefplanError(f"log {path} is damaged: record it anew") from error
+    except files.WRONG_FIELDS as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else first_line(error)
+        raise DefplanError(f"log {path} is damaged ({what}): record it anew") from error
 
 
 def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
@@ -266,8 +272,9 @@ def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
         position = stop
 
 
-def _take(contents: _Contents, opcode: int, record: bytes) -> None:
+def _take(contents: _Contents, opcode: int, record: bytes, budget: bounds.Budget) -> None:
     """Keep what a record says, if we need it."""
+    budget.look(10)
     stream = ReadDataStream(BytesIO(record))
     if opcode == Opcode.METADATA:
         metadata = Metadata.read(stream)
@@ -278,18 +285,21 @@ def _take(contents: _Contents, opcode: int, record: bytes) -> None:
         attachment = Attachment.read(stream)
         contents.attachments[attachment.name] = attachment.data
     elif opcode == Opcode.CHUNK:
-        chunk = Chunk.read(stream)
-        if chunk.uncompressed_size > _LARGEST_CHUNK:
-            raise ValueError("chunk claims an impossible size")
+        data = bounds.unpack(Chunk.read(stream), budget)
         # all of a chunk or nothing: the arrays below grow by whole chunks only
         taken: list[tuple[str, int, float, Any]] = []
-        for item in breakup_chunk(chunk, validate_crc=True):
-            if isinstance(item, Channel):
-                contents.topics[item.id] = item.topic
-            elif isinstance(item, Message) and contents.topics[item.channel_id] in contents.needed:
-                topic = contents.topics[item.channel_id]
-                content = contents.needed[topic].FromString(item.data)
-                taken.append((topic, item.sequence, item.log_time * 1e-9, content))
+        for kind, start, stop in bounds.records(data, budget):
+            if kind == Opcode.CHANNEL:
+                budget.look(20)
+                channel = Channel.read(ReadDataStream(BytesIO(data[start:stop])))
+                contents.topics[channel.id] = channel.topic
+            elif kind == Opcode.MESSAGE:
+                number, sequence, time, _ = _MESSAGE.unpack_from(data, start)
+                topic = contents.topics[number]
+                if topic in contents.needed:
+                    budget.keep(stop - start)
+                    content = contents.needed[topic].FromString(data[start + _MESSAGE.size : stop])
+                    taken.append((topic, sequence, time * 1e-9, content))
         for topic, *message in taken:
             contents.messages.setdefault(topic, []).append(tuple(message))
 
@@ -302,7 +312,7 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
     """Make arrays of what was found."""
     identity = contents.metadata.get(schemas.IDENTITY_RECORD)
     if identity is None:
-        if contents.fault.startswith(("cut", "damaged")):
+        if contents.fault.startswith(("cut", "damaged", "not read")):
             raise DefplanError(
                 f"log {path} holds no step of its episode ({contents.fault}): record it anew"
             )
@@ -322,13 +332,11 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         raise DefplanError(
             f"log {path} holds no step of its episode ({contents.fault}): record it anew"
         )
-    configuration = json.loads(contents.metadata[schemas.CONFIGURATION_RECORD]["json"])
-    scene = configuration.pop("scene")
-    names = ("target", "centres", "radii", "velocities", "orientation")
-    arrays = {name: np.array(scene[name], float) for name in names}
-    arrays = {
-        k: a.reshape(-1, 3) if k in ("centres", "velocities") else a for k, a in arrays.items()
-    }
+    configuration = parse_json(contents.metadata[schemas.CONFIGURATION_RECORD]["json"])
+    if not isinstance(configuration, dict):
+        raise ValueError("the configuration is no object")
+    scene = validate.scene_of(configuration.pop("scene"))
+    validate.check_navigation(configuration)
 
     shapes = numbers.get(channels.TARGET_SHAPE, {})
     contacts = numbers.get(channels.CONTACTS, {})
@@ -337,12 +345,12 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         steps += 1
     fault = contents.fault
     ending = contents.metadata.get(schemas.END_RECORD, {})
-    if not fault and steps != int(ending.get("steps", -1)):
+    if not fault and steps != validate.whole_number(ending, "steps", 0, validate.MOST_STEPS):
         fault = f"incomplete: {steps} of {ending.get('steps')} steps are there"
-    modes = int(identity["modes"])
+    modes = validate.whole_number(identity, "modes", 1, validate.MOST_MODES)
     taken = range(1, steps + 1)
     times = {sequence: time for sequence, time, _ in contents.messages[channels.STATE]}
-    return EpisodeLog(
+    log = EpisodeLog(
         path=path,
         fault=fault,
         outcome=ending.get("outcome", ""),
@@ -350,15 +358,15 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         task=identity["task"],
         seed=identity["seed"],
         body_hash=identity["body_hash"],
-        timestep=float(identity["timestep"]),
+        timestep=validate.positive(identity, "timestep"),
         stepping={
-            "substeps": int(identity["substeps"]),
+            "substeps": validate.whole_number(identity, "substeps", 1, MAX_SUBSTEPS),
             "integrator": identity["integrator"],
         },
         configuration=configuration,
         versions=contents.metadata.get(schemas.VERSIONS_RECORD, {}),
         attachments=contents.attachments,
-        scene=Scene(**{**scene, **arrays}),
+        scene=scene,
         time=np.array([times[i] for i in range(steps + 1)]),
         states=np.array([states[i] for i in range(steps + 1)]),
         target_shapes=np.array([shapes[i] for i in taken]).reshape(steps, modes),
@@ -371,6 +379,8 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         numbers=numbers,
         **_cycles(contents, numbers, steps),
     )
+    validate.validate_log(log, modes)
+    return log
 
 
 def _cycles(contents: _Contents, numbers: dict[str, dict], steps: int) -> dict[str, np.ndarray]:
@@ -387,7 +397,7 @@ def _cycles(contents: _Contents, numbers: dict[str, dict], steps: int) -> dict[s
     m = len(ends)
     return {
         "cycle_steps": np.array([0, *ends], int),
-        "gait_index": np.array([gaits[n][0] for n in ends], int),
+        "gait_index": np.array(validate.gait_numbers([gaits[n][0] for n in ends]), int),
         "values": np.array([values[n] for n in ends]).reshape(m, -1 if m else 0),
         "reward": np.array([rewards[n][0] for n in ends]),
         "laser": np.array([scans[n] for n in ends]).reshape(m, -1 if m else 0),

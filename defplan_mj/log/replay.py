@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.log import schemas
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import versions
+from defplan_mj.log.validate import check_cycles, refuse
 from defplan_mj.planning.sensors.sensor import sensor_of
 from defplan_mj.task import Navigation
 
@@ -109,18 +112,27 @@ def replay_log(path: str | Path | EpisodeLog, progress: Progress = no_progress) 
     from defplan_mj.dynamics.reduced import ReducedDynamics
 
     log = path if isinstance(path, EpisodeLog) else read_log(path)
+    if not len(log.target_shapes):
+        fault = f" ({log.fault})" if log.fault else ""
+        raise DefplanError(f"log {log.path} holds no step to replay{fault}: record it anew")
+    if log.body.n_modes != log.target_shapes.shape[1]:
+        refuse(log, "body.npz", f"has {log.body.n_modes} modes, not those of the log")
+    if "gait.npz" in log.attachments:
+        check_cycles(log, log.gait)
     progress("replay in the kernel", 0.0)
-    dynamics = ReducedDynamics(log.body, log.timestep, log.terrain, **log.stepping)
+    with _named(log):
+        dynamics = ReducedDynamics(log.body, log.timestep, log.terrain, **log.stepping)
     states, _ = dynamics.rollout_count(log.states[0], log.target_shapes)
     largest = _largest(log.states, states)
     simulators = ["kernel"]
     difference = _first("kernel", "state", log.states, states, _state_labels(log))
     if difference is None and "gait.npz" in log.attachments and len(log.gait_index):
         simulators.append("mujoco")
-        replayed = _in_mujoco(log, progress)
+        with _named(log):
+            replayed = _in_mujoco(log, progress)
+            difference = _compare_episode(log, replayed)
         n = len(replayed["state"])
         largest = max(largest, _largest(log.states[:n], replayed["state"]))
-        difference = _compare_episode(log, replayed)
     progress("replay done", 1.0)
     return ReplayResult(
         path=log.path,
@@ -131,6 +143,17 @@ def replay_log(path: str | Path | EpisodeLog, progress: Progress = no_progress) 
         largest=largest,
         changed=tuple(_changed(log)),
     )
+
+
+@contextlib.contextmanager
+def _named(log: EpisodeLog) -> Iterator[None]:
+    """Say of which log an error is."""
+    try:
+        yield
+    except DefplanError as error:
+        if str(log.path) in str(error):
+            raise
+        raise DefplanError(f"log {log.path} cannot be replayed: {error}") from error
 
 
 def _in_mujoco(log: EpisodeLog, progress: Progress) -> dict[str, np.ndarray]:

@@ -87,12 +87,19 @@ class Surrogate:
         )
 
     @classmethod
-    def load(cls, path: str | Path) -> Surrogate:
+    def load(cls, path: files.Source) -> Surrogate:
         """Read a surrogate of `save`.
 
         Raises:
-            DefplanError: the file is missing, damaged or of another version.
+            DefplanError: the file is missing, damaged or of another version, or its content is no surrogate.
         """
+        from defplan_mj.planning.validate import (
+            validate_surrogate,
+        )  # here: it looks into surrogates
+
         arrays, meta, _ = files.load_archive(path, "surrogate", FORMAT_VERSION)
-        contents: dict[str, Any] = {**meta, **arrays, "task_names": tuple(meta["task_names"])}
-        return cls(**contents)
+        with files.fields_of(path, "surrogate"):
+            contents: dict[str, Any] = {**meta, **arrays, "task_names": tuple(meta["task_names"])}
+            surrogate = cls(**contents)
+        validate_surrogate(surrogate, str(path))
+        return surrogate

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 from defplan_mj.base.progress import Progress
@@ -108,6 +109,8 @@ def train(
         env = _Robots(surrogate, navigation, seed, recipe)
         model = _build(env, seed, recipe)
         watch = _Checkpoints(surrogate, navigation, seed, recipe, seconds, progress)
+        # its own would leave a folder SB3-... among the temporary files
+        model.set_logger(Logger(None, []))
         model.learn(recipe.transitions, callback=watch, log_interval=1_000_000_000)
     finally:
         torch.set_num_threads(threads)

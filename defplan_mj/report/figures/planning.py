@@ -11,7 +11,17 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.log.plotting import FAINT, INK, OBSTACLE, PATH, SERIES, TARGET, new_figure, styled
+from defplan_mj.log.plotting import (
+    FAINT,
+    INK,
+    OBSTACLE,
+    PATH,
+    SERIES,
+    TARGET,
+    label_of,
+    new_figure,
+    styled,
+)
 from defplan_mj.log.reader import EpisodeLog
 from defplan_mj.report.figures.gaits import draw_bodies, draw_path, states_along
 from defplan_mj.report.figures.views import PICTURES, View, episode_views
@@ -49,7 +59,7 @@ def success_figure(curves: Mapping[str, np.ndarray]) -> Figure | None:
     for i, name in enumerate(names):
         x, label = _abscissa(curves, len(curves[name]))
         text = name.removesuffix("success").strip("_").replace("_", " ") or "success"
-        axes.plot(x, 100 * curves[name], color=SERIES[i % len(SERIES)], label=text)
+        axes.plot(x, 100 * curves[name], color=SERIES[i % len(SERIES)], label=label_of(text))
     axes.set(xlabel=label, ylabel="episodes that succeed (%)", ylim=(-2, 103))
     axes.legend(loc="lower right")
     return figure
@@ -99,7 +109,7 @@ def episode_figures(log: EpisodeLog, dynamics: ReducedDynamics) -> list[Figure]:
         hit = view.place(log.states[1:, :3][log.clearance < 0])
         if len(hit):
             axes.scatter(hit[0, 0], hit[0, 1], s=60, marker="x", color=TARGET, zorder=6)
-        axes.set_title(title if view is views[0] else view.name, loc="left")
+        axes.set_title(label_of(title) if view is views[0] else view.name, loc="left")
         view.finish(axes, 0.15 * way)
         figures.append(figure)
     return figures
