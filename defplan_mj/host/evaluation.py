@@ -214,11 +214,11 @@ def evaluate(
         shield: wrap the planner in the safety shield.
         recorder: gives the recorders of those episodes that are to be logged.
         context: of the logs.
-        workers: processes (default: one for each core, at most 2, and 1 for a few episodes).
+        workers: processes (default: `threads.available_processes()`, and 1 for a few episodes).
     """
     pilot: Planner = Shield(planner, surrogate, navigation) if shield else planner
     if workers is None:
-        workers = min(threads.available_cores(), 2) if len(scenes) >= PARALLEL_FROM else 1
+        workers = threads.available_processes() if len(scenes) >= PARALLEL_FROM else 1
     run = functools.partial(_run_share, robot, navigation, pilot, recorder, context)
     numbered = list(enumerate(scenes))
     pieces = 1 if workers == 1 else 8 * workers

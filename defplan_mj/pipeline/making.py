@@ -58,7 +58,15 @@ def _load_body(run: Run) -> Body:
     return Body.load(run.file(BODY_FILE))
 
 
-BODY = Stage("body", _body_inputs, _make_body, load=_load_body, sections=("body",), timed=True)
+BODY = Stage(
+    "body",
+    _body_inputs,
+    _make_body,
+    load=_load_body,
+    sections=("body",),
+    timed=True,
+    lent=True,
+)
 
 
 # ---- gaits
@@ -207,6 +215,7 @@ GAIT = Stage(
     figures=_gait_figures,
     sections=("gaits",),
     timed=True,
+    lent=True,
     require=_require_steering,
 )
 
@@ -250,6 +259,7 @@ SURROGATE = Stage(
     figures=_surrogate_figures,
     sections=("surrogate",),
     timed=True,
+    lent=True,
 )
 
 
@@ -321,4 +331,5 @@ PLANNER = Stage(
     sections=("training",),
     key=lambda run: run.plan.of_planner("planner"),
     timed=True,
+    lent=True,
 )
