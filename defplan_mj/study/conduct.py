@@ -14,7 +14,7 @@ from defplan_mj.base import files
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.study.build import build_of
 from defplan_mj.study.engines import TRIES, Engine, Lost
-from defplan_mj.study.matrix import Cell, lenders
+from defplan_mj.study.matrix import Cell, Lenders
 from defplan_mj.study.run import Job, episode_rows, failed_row
 from defplan_mj.study.table import EPISODE_COLUMNS, Row, write_csv, write_parquet
 
@@ -65,36 +65,26 @@ def conduct(
     """
     root = root.absolute()
     root.mkdir(parents=True, exist_ok=True)
-    of_task = _by_task(cells)
+    lenders = Lenders(cells)
     build: Mapping[str, str] = build_of() if engine.asks else {}
-    queue, rows = _Queue(deque(cells)), {}
+    queue = _Queue(deque(cells))
+    rows: dict[Path, Row] = {}
     running: dict[Future[Row], Cell] = {}
-    began = time.perf_counter()
+    began, failed = time.perf_counter(), 0
     while True:
         room = engine.room()
         while len(running) < room and (cell := queue.next()) is not None:
-            lent = lenders(cell, of_task[cell.source])
-            job = Job(cell, root, lent, remake, engine.processes, build)
+            job = Job(cell, root, lenders.of(cell), remake, engine.processes, build)
             running[engine.submit(job)] = cell
         if not running:
             break
         for future in wait(running, return_when=FIRST_COMPLETED).done:
             cell = running.pop(future)
             rows[cell.folder] = _row(future, cell)
+            failed += bool(rows[cell.folder]["failed"])
             queue.ended(cell)
-            progress(_told(len(rows), len(cells), rows, began), len(rows) / len(cells))
+            progress(_told(len(rows), len(cells), failed, began), len(rows) / len(cells))
     return [rows[cell.folder] for cell in cells]
-
-
-def _by_task(cells: Sequence[Cell]) -> dict[str, list[Cell]]:
-    """Return the runs of each task, of each gaits the first few: a run borrows from no others."""
-    found: dict[str, list[Cell]] = {}
-    counts: dict[tuple[Any, ...], int] = {}
-    for cell in cells:
-        counts[cell.gaits] = counts.get(cell.gaits, 0) + 1
-        if counts[cell.gaits] <= 3:
-            found.setdefault(cell.source, []).append(cell)
-    return found
 
 
 def _row(future: Future[Row], cell: Cell) -> Row:
@@ -105,8 +95,7 @@ def _row(future: Future[Row], cell: Cell) -> Row:
         return failed_row(cell, sentence, "process")
 
 
-def _told(done: int, count: int, rows: Mapping[Path, Row], began: float) -> str:
-    failed = sum(bool(row["failed"]) for row in rows.values())
+def _told(done: int, count: int, failed: int, began: float) -> str:
     rest = (time.perf_counter() - began) / done * (count - done)
     left = f", about {rest / 60:.0f} min left" if rest > 90 else ""
     return f"study: {done} of {count} runs, {failed} failed{left}"

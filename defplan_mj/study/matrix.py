@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ class Cell:
             parts += [self.planner, self.feedback]
         return "+".join(filter(None, [*parts, self.variant]))
 
-    @property
+    @cached_property
     def folder(self) -> Path:
         """Of the run, from the study's folder on."""
         return Path(self.method) / f"{self.task}-seed{self.seed}"
@@ -104,9 +105,25 @@ def _every(study: Study, specs: Sequence[TaskSpec]) -> Iterator[Cell]:
         )
 
 
-def lenders(cell: Cell, others: Sequence[Cell]) -> list[Path]:
-    """Return folders of runs whose stages this one may have in common: with the same gaits, of the same body."""
-    same = [o for o in others if o.folder != cell.folder and o.source == cell.source]
-    gaits = [o for o in same if o.gaits == cell.gaits][:2]
-    bodies = [o for o in same if o not in gaits][:1]
-    return [other.folder for other in (*gaits, *bodies)]
+class Lenders:
+    """Which runs have stages in common: those with a run's gaits, and of its body any of its task.
+
+    Args:
+        cells: of the study.
+    """
+
+    def __init__(self, cells: Sequence[Cell]) -> None:
+        self._bodies: dict[str, list[Path]] = {}
+        self._gaits: dict[tuple[Any, ...], list[Path]] = {}
+        for cell in cells:
+            for folders in (
+                self._bodies.setdefault(cell.source, []),
+                self._gaits.setdefault(cell.gaits, []),
+            ):
+                if len(folders) < 3:
+                    folders.append(cell.folder)
+
+    def of(self, cell: Cell) -> list[Path]:
+        """Return folders to look in, the likeliest first."""
+        told = [*self._gaits[cell.gaits], *self._bodies[cell.source]]
+        return [folder for folder in dict.fromkeys(told) if folder != cell.folder]

@@ -15,6 +15,7 @@ _ORDER = {
     "gait": ("body", "gait"),
     "surrogate": ("body", "gait", "surrogate"),
     "planner": ("body", "gait", "surrogate", "planner"),
+    "evaluation": ("body", "gait", "surrogate", "planner", "evaluation", "moving"),
     "report": ("body", "gait", "surrogate", "planner", "evaluation", "moving", "report"),
 }
 _SHARED = ("body", "gait", "surrogate", "planner")

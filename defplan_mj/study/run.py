@@ -15,7 +15,7 @@ from defplan_mj.base import threads
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.pipeline.comparison import COMPARISON, SOLVERS_FILE
-from defplan_mj.pipeline.evaluation import EVALUATION_FILE, without_rows
+from defplan_mj.pipeline.evaluation import EVALUATION_FILE, MOVING, without_rows
 from defplan_mj.pipeline.outlook import Consent
 from defplan_mj.pipeline.run import Run, open_run
 from defplan_mj.pipeline.store import FolderBusy
@@ -141,6 +141,8 @@ def _do(run: Run, until: str) -> None:
     run.do("gait", COMPARISON)
     if until == "report":
         run.do_all()
+    elif until == "evaluation" and MOVING.included(run):
+        run.do("evaluation", MOVING)
     else:
         run.do(until)
 
@@ -216,7 +218,7 @@ def episode_rows(root: Path, cell: Cell) -> list[Row]:
         text = (root / cell.folder / EVALUATION_FILE).read_text(encoding="utf-8")
         document = json.loads(text)
         return list(_episodes(document, keys_of(cell)))
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # not there, or damaged
         return []
 
 

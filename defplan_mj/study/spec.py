@@ -17,7 +17,7 @@ from defplan_mj.taskfile import lines
 from defplan_mj.taskfile.find import SUFFIX, find_task, is_file
 from defplan_mj.taskfile.source import read_source
 
-UNTIL = ("gait", "surrogate", "planner", "report")
+UNTIL = ("gait", "surrogate", "planner", "evaluation", "report")
 """The stages that the runs of a study can end with."""
 PAGES = ("study", "paper", "optimisers")
 """What a study's page can be: the same for all, with what else is asked of these."""
