@@ -16,7 +16,7 @@ from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.host.navigation import robot_environment
 from defplan_mj.planning.outcome import ENDINGS, Outcome
-from defplan_mj.planning.planner import Planner
+from defplan_mj.planning.planner import Planner, needs_obstacles
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.shield import Shield
 from defplan_mj.task import Navigation
@@ -145,6 +145,7 @@ def run_episode(
     """
     task, physics = env.task, env.physics
     task.scene = scene
+    task.tells_obstacles = needs_obstacles(planner)
     observation = env.reset().observation
     planner.reset()
     if recorder is not None:
