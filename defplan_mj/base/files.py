@@ -8,6 +8,7 @@ import hashlib
 import json
 import math
 import os
+import shutil
 import struct
 import tempfile
 import zipfile
@@ -84,6 +85,12 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     """Write `data` to `path` atomically."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
+
+
+def copy_file(source: str | Path, path: str | Path) -> None:
+    """Copy a file's bytes to `path` atomically."""
+    with atomic_path(path) as temporary:
+        shutil.copyfile(source, temporary)
 
 
 def plain(value: Any) -> Any:

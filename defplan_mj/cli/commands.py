@@ -300,6 +300,7 @@ def view(arguments: argparse.Namespace, console: Console) -> int:
     """Watch the planner steer through unseen scenes, in real time, until the window is closed."""
     from defplan_mj.host.viewer import require_display, view
     from defplan_mj.pipeline import trial
+    from defplan_mj.planning.planner import needs_obstacles
 
     require_display()  # before any work
     chosen = {"planner": arguments.planner, "feedback": arguments.feedback}
@@ -307,6 +308,7 @@ def view(arguments: argparse.Namespace, console: Console) -> int:
         run.do("planner")
         environment = trial.environment(run, arguments.obstacles)
         planner = trial.steering(run, arguments.shield)
+    environment.task.tells_obstacles = needs_obstacles(planner)
     outcomes = view(environment, lambda step: int(planner.values(step.observation).argmax()))
     console.result({"outcomes": outcomes}, "\n".join(outcomes))
     return 0

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 from defplan_mj import __version__
 from defplan_mj.base.printable import printable
-from defplan_mj.cli import body, commands, logs, new
+from defplan_mj.cli import body, commands, logs, new, study
 
 _AXES = ("x", "-x", "y", "-y", "z", "-z")
 
@@ -112,6 +112,9 @@ def build() -> argparse.ArgumentParser:
             True,
         )
     )
+    _study(
+        add("study", study.study, "carry out many runs by one file: their table, their page", True)
+    )
     _new(add("new", new.new, "write a task file, guessed from a mesh or copied from a task"))
     _body(add("body", body.body, "build a soft body from a mesh file"))
     _gait(add("gait", commands.gait, "optimise a task's gaits"))
@@ -184,6 +187,30 @@ def _run(sub: argparse.ArgumentParser) -> None:
         metavar="N",
         help="episodes among moving obstacles, for each of four speeds (default: 40; 0: none)",
     )
+    _common(sub)
+
+
+def _study(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "study", metavar="STUDY", help="a study file (.toml), or one that `defplan list` names"
+    )
+    sub.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="say what is there, what is to be made and about how long it takes; make nothing",
+    )
+    sub.add_argument("--quick", action="store_true", help="with the file's table [quick]")
+    sub.add_argument(
+        "--jobs", type=_count, metavar="N", help="runs at a time, each a process (default: 1)"
+    )
+    sub.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that does the runs")
+    sub.add_argument(
+        "--scheduler-file", type=Path, metavar="FILE", help="that `dask scheduler` has written"
+    )
+    sub.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR",
+                     help="where the study's folder lies (default: logs)")  # fmt: skip
+    sub.add_argument("--remake", action="store_true",
+                     help="make finished stages anew if they were made with other options")  # fmt: skip
     _common(sub)
 
 

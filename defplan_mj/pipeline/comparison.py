@@ -43,6 +43,7 @@ def _attempt(run: Run, solver: Any, seed: int) -> Stage:
         needs=("body", "gait") if own else ("body",),
         load=lambda run: json.loads(_row_file(run, solver, seed).read_text(encoding="utf-8")),
         guarded=False,
+        lent=True,
     )
 
 

@@ -59,7 +59,15 @@ def _load_body(run: Run) -> Body:
     return Body.load(run.file(BODY_FILE))
 
 
-BODY = Stage("body", _body_inputs, _make_body, load=_load_body, sections=("body",), timed=True)
+BODY = Stage(
+    "body",
+    _body_inputs,
+    _make_body,
+    load=_load_body,
+    sections=("body",),
+    timed=True,
+    lent=True,
+)
 
 
 # ---- gaits
@@ -208,6 +216,7 @@ GAIT = Stage(
     figures=_gait_figures,
     sections=("gaits",),
     timed=True,
+    lent=True,
     require=_require_steering,
 )
 
@@ -251,6 +260,7 @@ SURROGATE = Stage(
     figures=_surrogate_figures,
     sections=("surrogate",),
     timed=True,
+    lent=True,
 )
 
 
@@ -322,4 +332,5 @@ PLANNER = Stage(
     sections=("training",),
     key=lambda run: run.plan.of_planner("planner"),
     timed=True,
+    lent=True,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -35,6 +35,7 @@ class Run:
         consent: how the user is told and asked of what is made anew.
         anew: names of stages that are made even if they could be used again.
         whole: the folder holds a whole run, whose stages are not made anew unasked.
+        lenders: folders of other runs; a stage that lies there, made from the same inputs, is copied.
     """
 
     plan: Plan
@@ -48,8 +49,10 @@ class Run:
         consent: Consent = UNASKED,
         anew: Iterable[str] = (),
         whole: bool = False,
+        lenders: Sequence[Path] = (),
     ) -> None:
         self.plan, self.folder = plan, folder
+        self.lenders = tuple(lenders)
         self.consent, self.anew, self.whole = consent, frozenset(anew), whole
         self._progress = progress
         self._stages = {stage.name: stage for stage in STAGES}
@@ -87,6 +90,8 @@ class Run:
         inputs = self._inputs(stage, before)
         fresh = stage.name in self.anew
         make = functools.partial(stage.make, self)
+        if not fresh and stage.lent:
+            any(self.folder.adopt(self._key(stage), inputs, lender) for lender in self.lenders)
         self._done[stage.name] = self.folder.stage(self._key(stage), inputs, make, fresh)
 
     def _chain(self, stages: Iterable[str | Stage]) -> list[Stage]:
@@ -221,6 +226,7 @@ def open_run(
     fresh: bool = False,
     consent: Consent = UNASKED,
     anew: Iterable[str] = (),
+    lenders: Sequence[Path] = (),
 ) -> Iterator[Run]:
     """Open the folder `logs/<task>-seed<seed>` and yield its run.
 
@@ -230,7 +236,7 @@ def open_run(
         whole: the folder is for a whole run: what is not chosen is the default, whatever the folder's
             run was asked for before.
         fresh: forget everything made before.
-        consent, anew: see `Run`.
+        consent, anew, lenders: see `Run`.
 
     Raises:
         DefplanError: the folder is in use or cannot be written, or another task's of the same name.
@@ -247,7 +253,7 @@ def open_run(
     with RunFolder(path, _configuration(plan, before, whole or was_whole), fresh) as folder:
         if before and before.get(TASK_FILE) != folder.config.get(TASK_FILE):
             folder.keep_config()
-        yield Run(plan, folder, progress, consent, anew, was_whole)
+        yield Run(plan, folder, progress, consent, anew, was_whole, lenders)
 
 
 def _check_task(

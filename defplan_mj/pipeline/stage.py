@@ -44,6 +44,7 @@ class Stage:
         guarded: it is not made anew for another option unless that is agreed to: it takes long, or
             something that takes long follows from it.
         timed: its seconds are in the JSON of a run.
+        lent: other runs may copy it: it takes longer to make than to copy.
         require: raises a DefplanError if nothing can be made from what it made.
     """
 
@@ -59,4 +60,5 @@ class Stage:
     key: Callable[[Run], str] | None = None
     guarded: bool = True
     timed: bool = False
+    lent: bool = False
     require: Callable[[Run], Any] = _nothing

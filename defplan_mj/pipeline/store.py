@@ -45,6 +45,10 @@ class Record:
     made_from: dict[str, Any] = field(default_factory=dict)
 
 
+class FolderBusy(DefplanError):
+    """Another process is at work in a run's folder."""
+
+
 def input_hash(inputs: Mapping[str, Any]) -> str:
     """Return the hash of a stage's inputs, this version of defplan among them."""
     text = json.dumps({"defplan": __version__, **plain_data(inputs)}, sort_keys=True)
@@ -82,7 +86,8 @@ class RunFolder:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             self._lock.close()
-            raise DefplanError(_lock_sentence(self.path, error)) from error
+            kind = FolderBusy if error.errno in _BUSY else DefplanError
+            raise kind(_lock_sentence(self.path, error)) from error
         self._sweep()
         self.records = {} if self.fresh else _read(self.path)[1]
         if self.fresh:
@@ -140,6 +145,31 @@ class RunFolder:
         self._write()
         return made
 
+    def adopt(self, name: str, inputs: Mapping[str, Any], lender: Path) -> bool:
+        """Copy a stage from another run's folder if it is there, whole and of the same inputs.
+
+        Returns:
+            whether it was. A stage that is here already with these inputs stays.
+        """
+        own, wanted = self.records.get(name), input_hash(inputs)
+        if own is not None and own.inputs == wanted and self.whole(name):
+            return False
+        record = _read(lender)[1].get(name)
+        if record is None or record.inputs != wanted:
+            return False
+        try:
+            for file, told in record.files.items():
+                if file_hash(lender / file) != told:
+                    return False
+            for file in record.files:
+                files.copy_file(lender / file, self.file(file))
+        except OSError:  # it is being written, or was removed
+            return False
+        self._remove(set(own.files if own else ()) - set(record.files))
+        self.records[name] = record
+        self._write()
+        return self.whole(name)
+
     def keep_config(self) -> None:
         """Write what the run is asked for now, whatever is made of it."""
         self._write()
@@ -184,6 +214,11 @@ class RunFolder:
 def read_config(path: Path) -> dict[str, Any]:
     """Return what the run in the folder `path` was asked for; empty if there is none."""
     return _read(path)[0]
+
+
+def stage_seconds(path: Path) -> dict[str, float]:
+    """Return the wall time of each finished stage of the run in the folder `path`, by its key, s."""
+    return {name: float(record.seconds) for name, record in _read(path)[1].items()}
 
 
 def has_run(path: Path) -> bool:

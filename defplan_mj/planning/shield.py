@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from defplan_mj.planning.motion_tree import MotionTree
-from defplan_mj.planning.planner import Observation, Planner
+from defplan_mj.planning.planner import Observation, Planner, needs_obstacles
 from defplan_mj.planning.sensors.sensor import seen_points
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
@@ -46,6 +46,11 @@ class Shield:
         self.tree = MotionTree(surrogate.motions(navigation.space), deepest)
         farthest = float(np.linalg.norm(self.tree.end, axis=1).max())
         self.reach = farthest + self.radius + max(margin for _, margin in levels)
+
+    @property
+    def needs_obstacles(self) -> bool:
+        """Whether the wrapped planner is told all obstacles; the shield knows the laser only."""
+        return needs_obstacles(self.planner)
 
     def reset(self) -> None:
         """Reset the wrapped planner."""

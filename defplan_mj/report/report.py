@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -49,6 +49,32 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
     for i, make in enumerate(SECTIONS):
         progress("report", i / len(SECTIONS))
         sections.append(make(material))
+    told = material.spec.description if material.spec else ""
+    seed = material.config.get("seed", _seed_of(material.folder))
+    page = render_page(
+        material.task,
+        f"seed {seed}",
+        f"{told[:1].upper()}{told[1:]}. {_MADE}" if told else "",
+        summary(material),
+        sections,
+    )
+    path = material.folder / REPORT_FILE
+    files.write_text(path, page)
+    progress("report", 1.0)
+    return path
+
+
+_MADE = "Everything below was made from one mesh file and is shown as measured in this run."
+
+
+def render_page(
+    title: str,
+    subtitle: str,
+    description: str,
+    facts: Sequence[Fact],
+    sections: Sequence[Section],
+) -> str:
+    """Return a page as one self-contained HTML text."""
     environment = Environment(
         loader=PackageLoader("defplan_mj.report"),
         autoescape=True,
@@ -56,17 +82,9 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    page = environment.get_template("page.html").render(
-        title=material.task,
-        seed=material.config.get("seed", _seed_of(material.folder)),
-        description=material.spec.description if material.spec else "",
-        facts=summary(material),
-        sections=sections,
+    return environment.get_template("page.html").render(
+        title=title, subtitle=subtitle, description=description, facts=facts, sections=sections
     )
-    path = material.folder / REPORT_FILE
-    files.write_text(path, page)
-    progress("report", 1.0)
-    return path
 
 
 def summary(material: Material) -> list[Fact]:

@@ -6,7 +6,6 @@ import dataclasses
 import difflib
 import math
 import os
-import tomllib
 import typing
 from collections.abc import Callable
 from dataclasses import MISSING, replace
@@ -34,8 +33,8 @@ from defplan_mj.taskfile.fields import (
     optional,
     table_of,
 )
+from defplan_mj.taskfile.source import read_source
 
-MOST_BYTES = 50_000_000
 _WORDS: dict[type, str] = {
     int: "a whole number",
     float: "a number",
@@ -55,41 +54,8 @@ def read_task(path: str | Path, mesh_needed: bool = True) -> TaskSpec:
         DefplanError: something in the file cannot be; nothing was done yet.
     """
     path = Path(path)
-    text = _text_of(path)
-    try:
-        data = tomllib.loads(text)
-    except RecursionError as error:
-        raise DefplanError(f"{path} cannot be read: it is nested too deeply") from error
-    except ValueError as error:
-        raise DefplanError(_syntax_sentence(path, error)) from error
-    return _Reader(path, lines.key_lines(text)).task(data, mesh_needed)
-
-
-def _text_of(path: Path) -> str:
-    try:
-        if path.is_dir():
-            raise DefplanError(f"{path} is a folder: name the task file in it")
-        if path.stat().st_size > MOST_BYTES:
-            raise DefplanError(f"{path} is too large for a task file")
-        return path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError as error:
-        raise DefplanError(
-            f"task file {path} does not exist: `defplan new MESH -o {path}` writes one"
-        ) from error
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
-        raise DefplanError(f"task file {path} cannot be read: {reason}") from error
-
-
-def _syntax_sentence(path: Path, error: ValueError) -> str:
-    """Return the sentence for a file that is no TOML."""
-    message, _, place = str(error).rpartition(" (at ")
-    if not message:
-        message, place = str(error), ""
-    line = f", {place.rstrip(')').partition(',')[0]}" if place.startswith("line") else ""
-    told = " (at its end)" if place and not line else ""
-    message = message.splitlines()[0][:120]
-    return f"{path}{line}: this is no TOML: {message[:1].lower()}{message[1:]}{told}"
+    data, places = read_source(path, "task file", f"`defplan new MESH -o {path}` writes one")
+    return _Reader(path, places).task(data, mesh_needed)
 
 
 class _Reader:

@@ -71,6 +71,7 @@ def search(
     clearance: float,
     least: float,
     target: np.ndarray,
+    horizon: float = HORIZON,
 ) -> int | None:
     """Return the first gait of a short way to the target, or None if there is none.
 
@@ -82,6 +83,7 @@ def search(
             turn the robot in its place.
         least: clearance that cycles keep in any case, m.
         target: (d,) m, in the robot's frame.
+        horizon: a way that gets this far is good enough, m.
     """
     d, room = len(target), NODES + AT_ONCE * len(steps.first)
     position, frames = np.zeros((room, d)), np.zeros((room, d, d))
@@ -113,7 +115,7 @@ def search(
         begun = first[chosen][parent]
         first[new] = begun = np.where(begun < 0, steps.first[step], begun)
         rest = outlook.cycles(np.einsum("nij,ni->nj", facing, target - end))
-        near[new] = (rest == 0) | (np.einsum("nd,nd->n", end, end) > HORIZON**2)
+        near[new] = (rest == 0) | (np.einsum("nd,nd->n", end, end) > horizon**2)
         keys[new, :d] = np.floor(end / CELL)
         keys[new, d:] = np.round(facing @ outlook.axes[0] / alike)
         if rest.min() < nearest:
