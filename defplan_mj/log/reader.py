@@ -6,7 +6,7 @@ import json
 import struct
 import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from io import BytesIO
@@ -19,7 +19,7 @@ from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Message, Metadata
+from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
 
 from defplan_mj.base.errors import DefplanError
@@ -33,6 +33,9 @@ from defplan_mj.planning.surrogate import Surrogate
 
 _MAGIC = b"\x89MCAP0\r\n"
 _LARGEST_CHUNK = 1 << 30
+_NEEDED_RECORDS = (schemas.IDENTITY_RECORD, schemas.CONFIGURATION_RECORD)
+_EVERY_STEP = frozenset([channels.TARGET_SHAPE, channels.CONTACTS])
+_EVERY_CYCLE = frozenset([channels.VALUES, channels.REWARD, channels.RANGES])
 _DAMAGE = (
     McapError,
     DecodeError,
@@ -102,6 +105,8 @@ class EpisodeLog:
         contacts: of the steps that they were logged at; empty if nothing ever pushes.
         numbers: topic -> number of the step -> numbers, of all channels of labelled numbers; see
             `channel`.
+        first: number of the step that led to state 0: not 0 if the log's beginning was filtered out.
+        missing: topics that were filtered out; their numbers are NaN above.
     """
 
     path: Path
@@ -129,6 +134,8 @@ class EpisodeLog:
     surrogate_pose: np.ndarray
     contacts: tuple[LoggedContacts, ...] = ()
     numbers: dict[str, dict[int, np.ndarray]] = field(default_factory=dict, repr=False)
+    first: int = 0
+    missing: tuple[str, ...] = ()
 
     @property
     def space(self) -> str:
@@ -171,7 +178,7 @@ class EpisodeLog:
         if topic not in self.numbers:
             there = ", ".join(sorted(self.numbers))
             raise DefplanError(f"log {self.path} has no numbers in {topic}: there are {there}")
-        rows = self.numbers[topic]
+        rows = dict(sorted(self.numbers[topic].items()))
         return np.array(list(rows), int), np.array(list(rows.values()))
 
     @property
@@ -210,6 +217,8 @@ class _Contents:
     fault: str = ""
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
+    episodes: int = 1
+    schemas: dict[int, str] = field(default_factory=dict)
     topics: dict[int, str] = field(default_factory=dict)
     needed: dict[str, Any] = field(default_factory=_needed)
     messages: dict[str, list[tuple[int, float, Any]]] = field(default_factory=dict)
@@ -271,27 +280,49 @@ def _take(contents: _Contents, opcode: int, record: bytes) -> None:
     stream = ReadDataStream(BytesIO(record))
     if opcode == Opcode.METADATA:
         metadata = Metadata.read(stream)
-        contents.metadata[metadata.name] = metadata.metadata
+        kept = contents.metadata.setdefault(metadata.name, metadata.metadata)
+        if metadata.name == schemas.CONFIGURATION_RECORD and kept != metadata.metadata:
+            contents.episodes += 1
     elif opcode == Opcode.ATTACHMENT:
-        if zlib.crc32(record[:-4]) != _number(record[-4:]):
+        if _number(record[-4:]) not in (0, zlib.crc32(record[:-4])):
             raise ValueError("attachment does not match its checksum")
         attachment = Attachment.read(stream)
         contents.attachments[attachment.name] = attachment.data
+    elif opcode == Opcode.SCHEMA:
+        _keep(contents, [Schema.read(stream)])
+    elif opcode == Opcode.CHANNEL:
+        _keep(contents, [Channel.read(stream)])
+    elif opcode == Opcode.MESSAGE:
+        _keep(contents, [Message.read(stream, len(record))])
     elif opcode == Opcode.CHUNK:
         chunk = Chunk.read(stream)
         if chunk.uncompressed_size > _LARGEST_CHUNK:
             raise ValueError("chunk claims an impossible size")
-        # all of a chunk or nothing: the arrays below grow by whole chunks only
-        taken: list[tuple[str, int, float, Any]] = []
-        for item in breakup_chunk(chunk, validate_crc=True):
-            if isinstance(item, Channel):
-                contents.topics[item.id] = item.topic
-            elif isinstance(item, Message) and contents.topics[item.channel_id] in contents.needed:
-                topic = contents.topics[item.channel_id]
-                content = contents.needed[topic].FromString(item.data)
-                taken.append((topic, item.sequence, item.log_time * 1e-9, content))
-        for topic, *message in taken:
-            contents.messages.setdefault(topic, []).append(tuple(message))
+        _keep(contents, breakup_chunk(chunk, validate_crc=True))
+
+
+def _keep(contents: _Contents, items: Sequence[McapRecord]) -> None:
+    """Keep the messages that we need: all of a chunk or nothing, as the arrays grow by whole chunks."""
+    taken: list[tuple[str, int, float, Any]] = []
+    for item in items:
+        if isinstance(item, Schema):
+            contents.schemas[item.id] = item.name
+        elif isinstance(item, Channel):
+            contents.topics[item.id] = item.topic if _ours(contents, item) else ""
+        elif isinstance(item, Message) and contents.topics[item.channel_id] in contents.needed:
+            topic = contents.topics[item.channel_id]
+            content = contents.needed[topic].FromString(item.data)
+            taken.append((topic, item.sequence, item.log_time * 1e-9, content))
+    for topic, *message in taken:
+        contents.messages.setdefault(topic, []).append(tuple(message))
+
+
+def _ours(contents: _Contents, channel: Channel) -> bool:
+    """Whether a channel holds what we write under its topic: a merged file may use the name, too."""
+    if channel.topic not in contents.needed:
+        return False
+    name = contents.needed[channel.topic].DESCRIPTOR.full_name
+    return contents.schemas.get(channel.schema_id, name) == name
 
 
 def _number(four: bytes) -> int:
@@ -301,12 +332,24 @@ def _number(four: bytes) -> int:
 def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
     """Make arrays of what was found."""
     identity = contents.metadata.get(schemas.IDENTITY_RECORD)
+    cut = contents.fault.startswith(("cut", "damaged"))
+    if not cut and channels.STATE in contents.messages:
+        lost = [name for name in _NEEDED_RECORDS if name not in contents.metadata]
+        if lost:
+            raise DefplanError(
+                f"log {path} has lost its metadata {' and '.join(map(repr, lost))}: a tool that "
+                "filters must be told to keep metadata and attachments"
+            )
     if identity is None:
-        if contents.fault.startswith(("cut", "damaged")):
+        if cut:
             raise DefplanError(
                 f"log {path} holds no step of its episode ({contents.fault}): record it anew"
             )
         raise DefplanError(f"{path} is an MCAP file, but not a log of this program")
+    if contents.episodes > 1:
+        raise DefplanError(
+            f"{path} is merged of several logs, whose steps cannot be told apart: read each of them"
+        )
     if identity.get("format") != str(schemas.FORMAT_VERSION):
         raise DefplanError(
             f"{path} has log format {identity.get('format')}, this version reads "
@@ -318,6 +361,10 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         if contents.needed[topic] is schemas.LabelledNumbers
     }
     states = numbers.get(channels.STATE, {})
+    if not states and not cut and contents.messages:
+        raise DefplanError(
+            f"log {path} has no messages in {channels.STATE}: keep them in filtering"
+        )
     if not states or schemas.CONFIGURATION_RECORD not in contents.metadata:
         raise DefplanError(
             f"log {path} holds no step of its episode ({contents.fault}): record it anew"
@@ -330,17 +377,25 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         k: a.reshape(-1, 3) if k in ("centres", "velocities") else a for k, a in arrays.items()
     }
 
-    shapes = numbers.get(channels.TARGET_SHAPE, {})
-    contacts = numbers.get(channels.CONTACTS, {})
+    first = min(states)
+    missing = () if cut or len(states) == 1 else tuple(sorted(_EVERY_STEP - numbers.keys()))
+    parts = [states, *(numbers.get(topic, {}) for topic in _EVERY_STEP.difference(missing))]
     steps = 0  # up to the first one that misses something
-    while all(steps + 1 in part for part in (states, shapes, contacts)):
+    while all(first + steps + 1 in part for part in parts):
         steps += 1
-    fault = contents.fault
     ending = contents.metadata.get(schemas.END_RECORD, {})
+    fault = contents.fault
+    if not fault and first:
+        fault = f"without its first {first} steps"
     if not fault and steps != int(ending.get("steps", -1)):
         fault = f"incomplete: {steps} of {ending.get('steps')} steps are there"
     modes = int(identity["modes"])
-    taken = range(1, steps + 1)
+    taken = range(first + 1, first + steps + 1)
+    shapes, contacts = numbers.get(channels.TARGET_SHAPE, {}), numbers.get(channels.CONTACTS, {})
+    cycles, lost_cycles = _cycles(contents, numbers, first, steps, cut)
+    missing += lost_cycles
+    if not fault and missing:
+        fault = f"filtered: without {', '.join(missing)}"
     times = {sequence: time for sequence, time, _ in contents.messages[channels.STATE]}
     return EpisodeLog(
         path=path,
@@ -359,40 +414,55 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         versions=contents.metadata.get(schemas.VERSIONS_RECORD, {}),
         attachments=contents.attachments,
         scene=Scene(**{**scene, **arrays}),
-        time=np.array([times[i] for i in range(steps + 1)]),
-        states=np.array([states[i] for i in range(steps + 1)]),
-        target_shapes=np.array([shapes[i] for i in taken]).reshape(steps, modes),
-        clearance=np.array([contacts[i][0] for i in taken]),
+        time=np.array([times[first + i] for i in range(steps + 1)]),
+        states=np.array([states[first + i] for i in range(steps + 1)]),
+        target_shapes=np.array([shapes.get(i, np.full(modes, np.nan)) for i in taken]).reshape(
+            steps, modes
+        ),
+        clearance=np.array([contacts.get(i, [np.nan])[0] for i in taken], float),
         contacts=tuple(
-            LoggedContacts(sequence, *contacts_of(message))
-            for sequence, _, message in contents.messages.get(channels.FORCES, [])
-            if sequence <= steps
+            LoggedContacts(sequence - first, *contacts_of(message))
+            for sequence, _, message in sorted(
+                contents.messages.get(channels.FORCES, []), key=lambda message: message[0]
+            )
+            if sequence <= first + steps
         ),
         numbers=numbers,
-        **_cycles(contents, numbers, steps),
+        first=first,
+        missing=missing,
+        **cycles,
     )
 
 
-def _cycles(contents: _Contents, numbers: dict[str, dict], steps: int) -> dict[str, np.ndarray]:
-    """Return the arrays of the cycles; messages of a cycle carry the number of its last step."""
+def _cycles(
+    contents: _Contents, numbers: dict[str, dict], first: int, steps: int, cut: bool
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Return the arrays of the cycles, and the topics that a filter has left out of them.
+
+    Messages of a cycle carry the number of its last step. A cycle counts if all of it is there.
+    """
     gaits = numbers.get(channels.GAIT, {})
-    values, rewards = numbers.get(channels.VALUES, {}), numbers.get(channels.REWARD, {})
-    scans = numbers.get(channels.RANGES, {})
+    missing = tuple(sorted(_EVERY_CYCLE - numbers.keys())) if gaits and not cut else ()
+    there = [numbers.get(topic, {}) for topic in _EVERY_CYCLE.difference(missing)]
     poses = {n: _pose(m) for n, _, m in contents.messages.get(channels.SURROGATE, [])}
-    ends = [
-        n
-        for n in sorted(gaits)
-        if n <= steps and all(n in part for part in (values, rewards, scans))
-    ]
+    bounds = sorted(n for n in gaits if n <= first + steps)
+    ends = [n for n in bounds if all(n in part for part in there)]
+    start = max((n for n in bounds if ends and n < ends[0]), default=first)
     m = len(ends)
+
+    def rows(topic: str) -> np.ndarray:
+        """Return the numbers of each cycle; one NaN in a cycle if the topic is missing."""
+        found = [numbers[topic][n] if topic not in missing else [np.nan] for n in ends]
+        return np.array(found, float).reshape(m, -1 if m else 0)
+
     return {
-        "cycle_steps": np.array([0, *ends], int),
+        "cycle_steps": np.array([start, *ends], int) - first,
         "gait_index": np.array([gaits[n][0] for n in ends], int),
-        "values": np.array([values[n] for n in ends]).reshape(m, -1 if m else 0),
-        "reward": np.array([rewards[n][0] for n in ends]),
-        "laser": np.array([scans[n] for n in ends]).reshape(m, -1 if m else 0),
+        "values": rows(channels.VALUES),
+        "reward": rows(channels.REWARD)[:, 0] if m else np.zeros(0),
+        "laser": rows(channels.RANGES),
         "surrogate_pose": np.array([poses.get(n, np.full(7, np.nan)) for n in ends]).reshape(m, 7),
-    }
+    }, missing
 
 
 def _pose(message: Any) -> np.ndarray:
