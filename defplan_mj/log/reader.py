@@ -106,7 +106,8 @@ class EpisodeLog:
         numbers: topic -> number of the step -> numbers, of all channels of labelled numbers; see
             `channel`.
         first: number of the step that led to state 0: not 0 if the log's beginning was filtered out.
-        missing: topics that were filtered out; their numbers are NaN above.
+        first_cycle: number of the first cycle; not 0 then, either.
+        missing: topics that were filtered out; above, their numbers are NaN, or there are no columns.
     """
 
     path: Path
@@ -135,6 +136,7 @@ class EpisodeLog:
     contacts: tuple[LoggedContacts, ...] = ()
     numbers: dict[str, dict[int, np.ndarray]] = field(default_factory=dict, repr=False)
     first: int = 0
+    first_cycle: int = 0
     missing: tuple[str, ...] = ()
 
     @property
@@ -436,7 +438,7 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
 
 def _cycles(
     contents: _Contents, numbers: dict[str, dict], first: int, steps: int, cut: bool
-) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Return the arrays of the cycles, and the topics that a filter has left out of them.
 
     Messages of a cycle carry the number of its last step. A cycle counts if all of it is there.
@@ -451,15 +453,17 @@ def _cycles(
     m = len(ends)
 
     def rows(topic: str) -> np.ndarray:
-        """Return the numbers of each cycle; one NaN in a cycle if the topic is missing."""
-        found = [numbers[topic][n] if topic not in missing else [np.nan] for n in ends]
-        return np.array(found, float).reshape(m, -1 if m else 0)
+        """Return the numbers of each cycle; none if the topic is missing."""
+        found = [numbers[topic][n] if topic not in missing else [] for n in ends]
+        return np.array(found, float).reshape(m, -1 if m and topic not in missing else 0)
 
+    reward = rows(channels.REWARD)
     return {
         "cycle_steps": np.array([start, *ends], int) - first,
+        "first_cycle": int(gaits[ends[0]][2]) if ends else 0,
         "gait_index": np.array([gaits[n][0] for n in ends], int),
         "values": rows(channels.VALUES),
-        "reward": rows(channels.REWARD)[:, 0] if m else np.zeros(0),
+        "reward": reward[:, 0] if reward.shape[1] else np.full(m, np.nan),
         "laser": rows(channels.RANGES),
         "surrogate_pose": np.array([poses.get(n, np.full(7, np.nan)) for n in ends]).reshape(m, 7),
     }, missing

@@ -44,6 +44,7 @@ def rewrite(
         writer.start()
         known: dict[Any, int] = {}
         for path, schema, channel, message in messages:
+            assert schema is not None
             if (path, schema.name) not in known:
                 known[path, schema.name] = writer.register_schema(
                     schema.name, schema.encoding, schema.data
