@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import errno
 import os
@@ -23,16 +24,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 if the command did what it was asked, 1 on an error, 2 on wrong usage, 130 on Ctrl-C.
     """
     debug = "--debug" in (sys.argv if argv is None else argv)
+    program = "defplan"
     try:
         threads.set_environment(1)  # before anything loads numpy
-        return _run(argv)
+        from defplan_mj.cli.parser import parse
+
+        arguments = parse(argv)
+        program = arguments.parser.prog
+        return _run(arguments)
     except SystemExit as stop:  # argparse: --help or wrong usage
         return stop.code if isinstance(stop.code, int) else 1
     except BaseException as error:
         with _one_is_enough():
             if debug:
                 traceback.print_exc()
-            return _report(error)
+            return _report(error, program)
 
 
 @contextlib.contextmanager
@@ -49,12 +55,10 @@ def _one_is_enough() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _run(argv: Sequence[str] | None) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     from defplan_mj.cli.console import Console
-    from defplan_mj.cli.parser import parse
     from defplan_mj.cli.screen import choose_renderer
 
-    arguments = parse(argv)
     choose_renderer(arguments.draws)
     with Console(json=arguments.json, quiet=arguments.quiet) as console:
         return arguments.command(arguments, console)
@@ -68,10 +72,10 @@ def _drop_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _report(error: BaseException) -> int:
-    """Say `error` in one sentence on stderr; return the exit code."""
+def _report(error: BaseException, program: str) -> int:
+    """Say `error` in one sentence on stderr, after the command's name; return the exit code."""
     if isinstance(error, KeyboardInterrupt):
-        _say("stopped; run it again to go on")
+        _say(program, "stopped; run it again to go on")
         if threads.abandoned():
             # a solver still computes in C++: Python would crash when it takes the ground from under it
             os._exit(STOPPED)
@@ -81,13 +85,16 @@ def _report(error: BaseException) -> int:
     if isinstance(error, BrokenPipeError):  # the reader, e.g. `head`, has seen enough
         return 1
     if isinstance(error, DefplanError):
-        _say(str(error))
+        _say(program, str(error))
     elif isinstance(error, OSError) and error.errno is not None:
-        _say(_system_error(error))
+        _say(program, _system_error(error))
     elif isinstance(error, MemoryError):
-        _say("the memory is used up: close other programs or use a smaller mesh")
+        _say(program, "the memory is used up: close other programs or use a smaller mesh")
     else:
-        _say(f"this is a mistake in defplan: {type(error).__name__}: {error} (--debug shows where)")
+        _say(
+            program,
+            f"this is a mistake in defplan: {type(error).__name__}: {error} (--debug shows where)",
+        )
     return 1
 
 
@@ -101,6 +108,6 @@ def _system_error(error: OSError) -> str:
     return f"{error.strerror}{where}"
 
 
-def _say(sentence: str) -> None:
+def _say(program: str, sentence: str) -> None:
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed or on the full disk
-        print(f"defplan: {sentence}", file=sys.stderr, flush=True)
+        print(f"{program}: {sentence}", file=sys.stderr, flush=True)
