@@ -189,7 +189,9 @@ PLUGINS = {"tasks": "defplan_tasks", "solvers": "defplan_solvers"}
 setup(
     packages=packages(),
     package_dir={name: folder for folder, name in PLUGINS.items()},
-    package_data={"": ["*.c", "*.h", "*.html", "*.xml", "assets/*", "templates/*"]},
+    package_data={
+        "": ["*.c", "*.h", "*.html", "*.xml", "assets/*", "templates/*", "*-layout.json"]
+    },
     include_package_data=False,
     # The sources are listed in `libraries`; the entry makes setuptools run build_ext.
     ext_modules=[Extension("defplan_mj.kernel.libdefplan_kernel", sources=[])],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import errno
 import os
@@ -24,31 +25,33 @@ def main(argv: Sequence[str] | None = None) -> int:
         SIGTERM.
     """
     debug = "--debug" in (sys.argv if argv is None else argv)
-    stops = Stops()
+    stops, program = Stops(), "defplan"
     try:
         if argv is None:  # the process is ours
             streams.prepare()
         stops.listen()
         threads.set_environment(1)  # before anything loads numpy
-        return _run(argv)
+        from defplan_mj.cli.parser import parse
+
+        arguments = parse(argv)
+        program = arguments.parser.prog
+        return _run(arguments)
     except BaseException as error:
         stops.acknowledge()
         if isinstance(error, SystemExit) and stops.received is None:
             return _left(error)  # argparse: --help or wrong usage
         if debug:
             traceback.print_exc()
-        return _report(error, stops)
+        return _report(error, stops, program)
     finally:
         if argv is not None or stops.received is None:
             stops.leave()  # else Python would be interrupted while it leaves
 
 
-def _run(argv: Sequence[str] | None) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     from defplan_mj.cli.console import Console
-    from defplan_mj.cli.parser import parse
     from defplan_mj.cli.screen import choose_renderer
 
-    arguments = parse(argv)
     choose_renderer(arguments.draws)
     with Console(json=arguments.json, quiet=arguments.quiet) as console:
         return arguments.command(arguments, console)
@@ -62,7 +65,7 @@ def _left(stop: SystemExit) -> int:
             sys.stdout.flush()
         return code
     except OSError as error:
-        return _report(error, Stops())
+        return _report(error, Stops(), "defplan")
 
 
 def _drop_output() -> None:
@@ -73,11 +76,11 @@ def _drop_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _report(error: BaseException, stops: Stops) -> int:
-    """Say `error` in one sentence on stderr; return the exit code."""
+def _report(error: BaseException, stops: Stops, program: str) -> int:
+    """Say `error` in one sentence on stderr, after the command's name; return the exit code."""
     if isinstance(error, KeyboardInterrupt) or stops.received is not None:
         # whatever else it looks like: C code and imports make other errors of an interrupt
-        _say("stopped; run it again to go on")
+        _say(program, "stopped; run it again to go on")
         code = 143 if isinstance(error, Terminated) else stops.code
         if threads.abandoned():
             # a solver still computes in C++: Python would crash when it takes the ground from under it
@@ -88,13 +91,16 @@ def _report(error: BaseException, stops: Stops) -> int:
     if isinstance(error, BrokenPipeError):  # the reader, e.g. `head`, has seen enough
         return 1
     if isinstance(error, DefplanError):
-        _say(str(error))
+        _say(program, str(error))
     elif isinstance(error, OSError) and error.errno is not None:
-        _say(_system_error(error))
+        _say(program, _system_error(error))
     elif isinstance(error, MemoryError):
-        _say("the memory is used up: close other programs or use a smaller mesh")
+        _say(program, "the memory is used up: close other programs or use a smaller mesh")
     else:
-        _say(f"this is a mistake in defplan: {type(error).__name__}: {error} (--debug shows where)")
+        _say(
+            program,
+            f"this is a mistake in defplan: {type(error).__name__}: {error} (--debug shows where)",
+        )
     return 1
 
 
@@ -108,6 +114,6 @@ def _system_error(error: OSError) -> str:
     return f"{error.strerror}{where}"
 
 
-def _say(sentence: str) -> None:
+def _say(program: str, sentence: str) -> None:
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed or on the full disk
-        print(f"defplan: {printable(sentence)}", file=sys.stderr, flush=True)
+        print(f"{program}: {printable(sentence)}", file=sys.stderr, flush=True)

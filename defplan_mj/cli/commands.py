@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli.console import Console
 from defplan_mj.cli.text import (
     bench_text,
@@ -91,6 +92,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from defplan_mj.pipeline.results import run_results
     from defplan_mj.taskfile.find import is_mesh
 
+    if Path(arguments.task).is_dir():
+        raise DefplanError(
+            f"{arguments.task} is a folder: name a task, or a mesh or task file in it"
+        )
     if is_mesh(arguments.task):
         arguments.task = str(task_of_mesh(arguments, console))
     else:

@@ -102,15 +102,26 @@ class _PlainLines:
     """Progress for a file or a pipe: a line when the message changes and every few seconds."""
 
     def __init__(self) -> None:
+        from defplan_mj.base.progress import TimeLeft
+
         self.message = ""
         self.next = 0.0
+        self.left = TimeLeft(time.monotonic)
 
     def __call__(self, message: str, fraction: float) -> None:
-        now = time.monotonic()
+        now, left = time.monotonic(), self.left(message, fraction)
         if message == self.message and now < self.next:
             return
         self.message, self.next = message, now + PLAIN_SECONDS
-        print(f"{printable(message)} {100 * fraction:3.0f}%", file=sys.stderr, flush=True)
+        line = f"{printable(message)} {100 * fraction:3.0f}%{_told(left)}"
+        print(line, file=sys.stderr, flush=True)
+
+
+def _told(seconds: float | None) -> str:
+    """Return how long it still takes, to be put behind a percentage; nothing if that is not known."""
+    from defplan_mj.base.progress import duration
+
+    return "" if seconds is None else f", about {duration(seconds)} left"
 
 
 @contextlib.contextmanager
@@ -120,31 +131,35 @@ def _bars() -> Iterator[Progress]:
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as RichProgress
 
+    from defplan_mj.base.progress import TimeLeft
+
     columns = (
         TextColumn("{task.description:<34}", markup=False),
         BarColumn(),
         TaskProgressColumn(),
         TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
     )
     bars, started = RichProgress(*columns, console=RichConsole(stderr=True)), False
     try:
         shown: dict[str, Any] = {}
-        last = 0.0
+        last, time_left = 0.0, TimeLeft(time.monotonic)
 
         def show(message: str, fraction: float) -> None:
             nonlocal last, started
             if not started:  # not before: a question may be asked first
                 bars.start()
                 started = True
-            now = time.monotonic()
+            now, seconds = time.monotonic(), time_left(message, fraction)
             if message in shown and fraction < 1 and now - last < BAR_SECONDS:
                 return
             last = now
             if message not in shown:
                 for earlier in shown.values():  # what came before is done
-                    bars.update(earlier, completed=1.0)
-                shown[message] = bars.add_task(printable(message), total=1.0)
-            bars.update(shown[message], completed=min(max(fraction, 0.0), 1.0))
+                    bars.update(earlier, completed=1.0, left="")
+                shown[message] = bars.add_task(printable(message), total=1.0, left="")
+            done = min(max(fraction, 0.0), 1.0)
+            bars.update(shown[message], completed=done, left=_told(seconds).lstrip(", "))
 
         yield show
     finally:

@@ -35,6 +35,8 @@ def new(arguments: argparse.Namespace, console: Console) -> int:
         spec = dataclasses.replace(spec, name=_name(output))
         notes.append(f"It started as a copy of {Path(origin).name}.")
     else:
+        if Path(mesh).is_dir():
+            raise DefplanError(f"{mesh} is a folder: name a mesh file in it")
         if not is_mesh(mesh):
             raise DefplanError(f"{mesh} is no mesh file: `defplan new --from {mesh}` copies a task")
         guess = _guess(arguments, console, mesh)

@@ -130,6 +130,8 @@ def build() -> argparse.ArgumentParser:
     _bench(add("bench", commands.bench, "time the step, its peers, the surrogate and the laser"))
     _compare(add("compare", logs.compare, "compare the surrogate with the truth, from logs"))
     _replay(add("replay", logs.replay, "simulate a log again, to the bit", True))
+    _logs(add("logs", logs.logs, "say how the episodes of many logs ended"))
+    _export(add("export", logs.export, "write logs as a table, or for Rerun"))
     _view(add("view", commands.view, "watch a task in MuJoCo's viewer", True))
     return parser
 
@@ -357,6 +359,38 @@ def _compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("log", nargs="+", type=Path, metavar="LOG", help="MCAP file")
     sub.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="write the plot (PNG, SVG or PDF)"
+    )
+    _common(sub)
+
+
+def _logs(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "log", nargs="+", type=Path, metavar="DIR", help="folder with logs, or a log (MCAP file)"
+    )
+    _common(sub)
+
+
+def _export(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "log", nargs="+", type=Path, metavar="LOG", help="MCAP file, or a folder with some"
+    )
+    sub.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="table to write: .parquet or .csv"
+    )
+    sub.add_argument(
+        "--table",
+        choices=("steps", "cycles", "episodes"),
+        default="steps",
+        help="which: a row for each physics step (default), gait cycle or episode",
+    )
+    sub.add_argument(
+        "--rerun", type=Path, metavar="FILE", help="recording to write: .rrd, of one log"
+    )
+    sub.add_argument(
+        "--layout",
+        type=Path,
+        metavar="FILE",
+        help="layout to write (JSON) for Foxglove and Lichtblick, with the names of one log's numbers",
     )
     _common(sub)
 

@@ -316,8 +316,8 @@ def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
     return {
         "cycle": rows,
         "start": log.time[log.cycle_steps[rows]],
-        "predicted": _into_frame(predicted[:, :3] - start[:, :3], frame),
-        "truth": _into_frame(end[:, :3] - start[:, :3], frame),
+        "predicted": into_frame(predicted[:, :3] - start[:, :3], frame),
+        "truth": into_frame(end[:, :3] - start[:, :3], frame),
         "turning": _turning(end, predicted, log.space),
     }
 
@@ -339,7 +339,7 @@ def _episode(log: EpisodeLog, rows: np.ndarray) -> LoggedEpisode:
     )
 
 
-def _into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
+def into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """Return world vectors (m, 3) as seen in frames (m, 3, 3)."""
     return np.einsum("nji,nj->ni", frames, vectors)
 

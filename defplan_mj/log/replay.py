@@ -12,12 +12,18 @@ import numpy as np
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
-from defplan_mj.log import schemas
+from defplan_mj.log import channels, schemas
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import versions
 from defplan_mj.log.validate import check_cycles, refuse
 from defplan_mj.planning.sensors.sensor import sensor_of
 from defplan_mj.task import Navigation
+
+_NUMBERS_OF = {
+    channels.CONTACTS: "clearance",
+    channels.RANGES: "laser",
+    channels.REWARD: "reward",
+}
 
 
 @dataclass(frozen=True)
@@ -112,6 +118,8 @@ def replay_log(path: str | Path | EpisodeLog, progress: Progress = no_progress) 
     from defplan_mj.dynamics.reduced import ReducedDynamics
 
     log = path if isinstance(path, EpisodeLog) else read_log(path)
+    if channels.TARGET_SHAPE in log.missing:
+        raise DefplanError(f"log {log.path} is {log.fault}: there is nothing to replay it from")
     if not len(log.target_shapes):
         fault = f" ({log.fault})" if log.fault else ""
         raise DefplanError(f"log {log.path} holds no step to replay{fault}: record it anew")
@@ -126,7 +134,8 @@ def replay_log(path: str | Path | EpisodeLog, progress: Progress = no_progress) 
     largest = _largest(log.states, states)
     simulators = ["kernel"]
     difference = _first("kernel", "state", log.states, states, _state_labels(log))
-    if difference is None and "gait.npz" in log.attachments and len(log.gait_index):
+    whole_start = log.first == 0  # MuJoCo starts where the episode did
+    if difference is None and whole_start and "gait.npz" in log.attachments and len(log.gait_index):
         simulators.append("mujoco")
         with _named(log):
             replayed = _in_mujoco(log, progress)
@@ -219,9 +228,11 @@ def _compare_episode(log: EpisodeLog, replayed: dict[str, np.ndarray]) -> Differ
         "state": _state_labels(log),
         "laser": _reading_labels(log),
     }
+    missing = {_NUMBERS_OF[topic] for topic in log.missing if topic in _NUMBERS_OF}
     differences = [
         _first("mujoco", name, logged[name], replayed[name], labels.get(name, [""]), steps[name])
         for name in logged
+        if name not in missing
     ]
     return min((d for d in differences if d is not None), key=lambda d: d.step, default=None)
 
@@ -274,7 +285,7 @@ def _navigation(log: EpisodeLog) -> Navigation:
     """Return what a log says of the navigation problem, as far as the robot senses it."""
     navigation: dict[str, Any] = log.configuration.get("navigation") or {}
     return Navigation(
-        beams=int(navigation.get("beams") or log.laser.shape[1]),
+        beams=int(navigation.get("beams") or log.laser.shape[1] or Navigation().beams),
         laser_range=float(navigation.get("laser_range", Navigation().laser_range)),
         space=log.space,
         sensor=navigation.get("sensor", ""),

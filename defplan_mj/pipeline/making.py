@@ -87,9 +87,28 @@ def gait_problem(run: Run, gait: Gait | None = None) -> GaitProblem:
 
 
 def solve_gait(run: Run, solver: Any, stage: str, seed: int) -> Gait:
-    """Let a gait solver solve the problem; Ctrl-C is heard meanwhile."""
+    """Let a gait solver solve the problem; Ctrl-C is heard meanwhile.
+
+    Raises:
+        DefplanError: it returns no gait.
+    """
+    from defplan_mj.gait.gait import Gait
+
     problem, progress = gait_problem(run), run.progress_of(stage)
-    return threads.interruptible(lambda: solver.solve(problem, seed, progress))
+    gait = threads.interruptible(lambda: solver.solve(problem, seed, progress))
+    return expect(gait, Gait, f"the gait solver {solver.name}", "solve")
+
+
+def expect(value: Any, kind: type, who: str, what: str) -> Any:
+    """Return what a plugin's function has returned, if it is of the kind that it has to be.
+
+    Raises:
+        DefplanError: it is not, for example None because of a forgotten `return`.
+    """
+    if not isinstance(value, kind):
+        got = "None" if value is None else f"a {type(value).__name__}"
+        raise DefplanError(f"{who} returns {got} from {what}: it has to return a {kind.__name__}")
+    return value
 
 
 def gait_inputs(run: Run, solver: Any, seed: int) -> dict[str, Any]:
@@ -292,6 +311,8 @@ def _planner_inputs(run: Run) -> dict[str, Any]:
 
 
 def _make_planner(run: Run) -> Iterable[Path]:
+    from defplan_mj.planning.planner import TrainResult
+
     plan, policy, training = run.plan, policy_file(run), training_file(run)
     trained = plan.planner.train(
         run.result("surrogate"),
@@ -300,6 +321,7 @@ def _make_planner(run: Run) -> Iterable[Path]:
         seconds=plan.options.training_seconds,
         progress=run.progress_of("planner"),
     )
+    expect(trained, TrainResult, f"the planner {plan.planner.name}", "train")
     plan.planner.save(trained.planner, policy)
     curves = {name: np.asarray(curve) for name, curve in trained.curves.items()}
     meta = {

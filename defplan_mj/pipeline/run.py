@@ -58,6 +58,7 @@ class Run:
         self._stages = {stage.name: stage for stage in STAGES}
         self._done: dict[str, Record] = {}
         self._results: dict[str, Any] = {}
+        self._place = ""  # of the stage that is being made among those of the command
 
     # ---- making
 
@@ -74,9 +75,11 @@ class Run:
         """
         chain = self._chain(stages)
         self.consent.obtain(self._outlook(chain), str(self.folder.path), self.whole)
-        for stage in chain:
+        for number, stage in enumerate(chain, start=1):
+            self._place = f"stage {number} of {len(chain)}" if len(chain) > 1 else ""
             if stage.name not in self._done:
                 self._do(stage)
+        self._place = ""
 
     def renew_report(self) -> None:
         """Write the report again if there is one and the folder holds more than it shows."""
@@ -205,11 +208,12 @@ class Run:
         return sum(record.seconds for record in self._done.values())
 
     def progress_of(self, stage: str) -> Progress:
-        """Return a Progress that names the stage."""
+        """Return a Progress that names the stage, and which one of how many it is."""
 
         def show(message: str, fraction: float) -> None:
             detail = message.removeprefix(stage.split()[0]).lstrip(": ")
-            self._progress(f"{stage}: {detail}" if detail else stage, fraction)
+            name = f"{stage} ({self._place})" if self._place else stage
+            self._progress(f"{name}: {detail}" if detail else name, fraction)
 
         return show
 

@@ -610,12 +610,12 @@ def test_ctrl_c_in_the_middle_of_a_stage_is_one_sentence_and_exit_code_130(tmp_p
     process = start(["gait", "fish-swim", "--logs", str(tmp_path)])
     assert process.stderr is not None
     for line in process.stderr:
-        if line.startswith("body: finding"):
+        if line.startswith("body (stage 1 of 2): finding"):
             break
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert out == "" and err.splitlines()[-1] == "defplan: stopped; run it again to go on"
+    assert out == "" and err.splitlines()[-1] == "defplan gait: stopped; run it again to go on"
     assert "Traceback" not in err
     left = sorted(path.name for path in (tmp_path / "fish-swim-seed0").iterdir())
     assert left == [".lock"]
@@ -626,12 +626,12 @@ def test_ctrl_c_while_casadi_solves_keeps_the_body(tmp_path):
     process = start(["gait", "fish-swim", "--logs", str(tmp_path)])
     assert process.stderr is not None
     for line in process.stderr:
-        if line.startswith("gait:"):
+        if line.startswith("gait (stage 2 of 2):"):
             break
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert err.splitlines()[-1] == "defplan: stopped; run it again to go on"
+    assert err.splitlines()[-1] == "defplan gait: stopped; run it again to go on"
     left = sorted(path.name for path in (tmp_path / "fish-swim-seed0").iterdir())
     assert left == [".lock", "body.npz", "run.json"]
 
