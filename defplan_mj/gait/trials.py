@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import casadi as ca
@@ -39,7 +40,7 @@ def try_tasks(
 ) -> tuple[Trial, ...]:
     """Return what a few iterations of L-BFGS-B make of each task of a swimmer, alone.
 
-    The straightest task is tried from random gaits, and the others from what that came to. It is the
+    The straightest task is tried from random gaits, and the others from what that came to, bent. It is the
     problem's own objective, with a penalty for target shapes beyond the body's amplitude.
     """
     rng, order = (
@@ -51,15 +52,31 @@ def try_tasks(
     for number, j in enumerate(order):
         progress("task: trying what the body can do", number / len(order))
         alone = problem.alone(j)
-        start = [alone.random_gait(rng) for _ in range(_STARTS)] if straight is None else [straight]
-        w = _optimised(alone, start)
+        if straight is None:
+            starts = [alone.random_gait(rng) for _ in range(_STARTS)]
+        else:
+            starts = (
+                [straight, *bent_gaits(alone, straight)] if alone.tasks[0].angle else [straight]
+            )
+        w = _optimised(alone, starts, straight is None)
         straight = w if straight is None else straight
         done[j] = _measured(alone, w)
     return tuple(done[j] for j in range(problem.n_tasks))
 
 
-def _optimised(alone: GaitProblem, starts: list[np.ndarray]) -> np.ndarray:
-    """Return the best w after a few iterations from each start, and some more from the best."""
+def bent_gaits(alone: GaitProblem, w: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield a gait of one task whose last DMP element is a constant bend of one mode (beta = 0), as unknowns."""
+    mu, alpha, beta = alone.split(w)
+    for mode in range(alone.dynamics.nu):
+        for bend in 0.5 * np.array([-1, -0.6, -0.3, 0.3, 0.6, 1]):
+            a, b = alpha.copy(), beta.copy()
+            a[0, -1, mode] += bend * alone.dynamics.body.amplitude[mode]
+            b[0, -1] = 0
+            yield alone.join(mu, a, b)
+
+
+def _optimised(alone: GaitProblem, starts: list[np.ndarray], each: bool) -> np.ndarray:
+    """Return the best w after a few iterations from the best start, and `each`: before from each of them."""
     w = ca.MX.sym("w", alone.n_w)
     amplitude = np.tile(alone.dynamics.body.amplitude, alone.steps_per_cycle)
     excess = ca.fmax(ca.fabs(ca.vec(alone.dmp(w))) / amplitude - 1.0, 0.0)
@@ -83,7 +100,7 @@ def _optimised(alone: GaitProblem, starts: list[np.ndarray]) -> np.ndarray:
         return float(found.fun), found.x
 
     first, last = _ITERATIONS
-    tried = [improve(x, first if len(starts) > 1 else 0) for x in starts]
+    tried = [improve(x, first) if each else (value(x)[0], x) for x in starts]
     return improve(min(tried, key=lambda pair: pair[0])[1], last)[1]
 
 

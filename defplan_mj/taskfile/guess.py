@@ -65,6 +65,7 @@ _MOST_STEPS = 200
 _MOST_MODES = 12
 _BENDING = 1.2  # summed share of the modes that is sideways bending: the fish's first four have 1.9
 _LEAST_ADVANCE, _LEAST_TURN = 0.05, 0.05  # of the length; rad: less is not worth a gait
+_MORE = 2.0  # than a short trial reached is wanted
 _CYCLES = 60  # on the way to a target, about
 _WAYS = 6  # a time-out allows so many times the way
 
@@ -230,9 +231,10 @@ def _with_modes(path: Path, options: BodyOptions) -> tuple[BodyOptions, np.ndarr
 
 
 def _as_tried(spec: TaskSpec, progress: Progress) -> TaskSpec:
-    """Return a swimmer's task that wants what short trials of its body reached, and targets as far as that goes.
+    """Return a swimmer's task that wants twice what short trials of its body reached: half of it is asked for.
 
-    At least a twentieth of its length and a twentieth of a radian a cycle, at most what it wants already.
+    At most what it wants already, and at least a twentieth of its length and of a radian a cycle. Targets are
+    about as many cycles away as they were.
     """
     body = build_body(spec.mesh, spec.body, progress)
     problem = GaitProblem.of(spec, spec.dynamics(body))
@@ -241,9 +243,11 @@ def _as_tried(spec: TaskSpec, progress: Progress) -> TaskSpec:
     for task, done in zip(spec.gait_tasks, try_tasks(problem, progress=progress), strict=True):
         turn, move = np.array(task.turn), np.array(task.move)
         if task.angle:
-            turn *= _wanted(done.turn, _LEAST_TURN, task.angle) / task.angle
+            turn *= _wanted(_MORE * done.turn, _LEAST_TURN, task.angle) / task.angle
         if task.advance:
-            move *= _wanted(done.advance, _LEAST_ADVANCE * size, task.advance) / task.advance
+            move *= (
+                _wanted(_MORE * done.advance, _LEAST_ADVANCE * size, task.advance) / task.advance
+            )
         tasks.append(dataclasses.replace(task, turn=_triple(turn), move=_triple(move)))
     slowest = min(task.advance for task in tasks if not task.angle)
     usual = spec.navigation

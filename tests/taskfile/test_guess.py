@@ -130,7 +130,10 @@ def test_guessed_gaits_can_steer(kind, axis):
 
 
 def test_the_jellyfish_like_body_swims_in_space_as_its_task_does(monkeypatch):
-    monkeypatch.setattr("defplan_mj.taskfile.guess._frequencies", lambda *_: np.array([3.0, 16.0]))
+    monkeypatch.setattr(
+        "defplan_mj.taskfile.guess._with_modes", lambda _, body: (body, np.array([3.0, 16.0]))
+    )
+    monkeypatch.setattr("defplan_mj.taskfile.guess._as_tried", lambda spec, _: spec)
     shipped = registry.get_task("quadruped-swim")
     spec = guess_task(shipped.mesh, "water").spec
     assert spec.navigation.space == "spatial" and spec.axis == shipped.axis
