@@ -8,7 +8,7 @@ SOURCES := requirements.lock pyproject.toml setup.py \
 	$(wildcard defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch])
 LINTED := defplan_mj tasks solvers tests
 
-.PHONY: help setup demo test test-full sanitize sanitize-fast bench lint clean
+.PHONY: help setup demo test test-full sanitize sanitize-fast bench soak lint clean
 
 help:
 	@echo "make demo       build the fish from its mesh, train it, log and report it"
@@ -16,6 +16,8 @@ help:
 	@echo "make test-full  all tests"
 	@echo "make sanitize   the tests of the C code, built with address and undefined-behaviour sanitizers"
 	@echo "make bench      time what the README's tables state"
+	@echo "make soak       a million steps of each robot, 10,000 bad inputs, 100 stops: at most 30 minutes"
+	@echo "                (make soak SOAK=--short tries it in 5)"
 	@echo "make lint       ruff, mypy, which package may import which, lines of C within 100 columns"
 	@echo "make clean      remove what was built (not .venv, not logs)"
 
@@ -50,6 +52,10 @@ sanitize sanitize-fast: $(READY)
 
 bench: $(READY)
 	$(VENV)/bin/defplan bench
+
+# Its result is kept in docs/reliability.md.
+soak: $(READY)
+	$(PYTHON) -m tests.soak $(SOAK)
 
 lint: $(READY)
 	$(VENV)/bin/ruff check .

@@ -8,7 +8,9 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.base.reading import first_line
 from defplan_mj.report.content import Fact, Section, duration, percent
 from defplan_mj.report.material import Material, gather
 from defplan_mj.report.sections.body import body_section
@@ -48,7 +50,7 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
     sections = []
     for i, make in enumerate(SECTIONS):
         progress("report", i / len(SECTIONS))
-        sections.append(make(material))
+        sections.append(_section(make, material))
     environment = Environment(
         loader=PackageLoader("defplan_mj.report"),
         autoescape=True,
@@ -67,6 +69,17 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
     files.write_text(path, page)
     progress("report", 1.0)
     return path
+
+
+def _section(make: Callable[[Material], Section], material: Material) -> Section:
+    """Make a section; files whose content makes no sense are a sentence."""
+    try:
+        return make(material)
+    except files.WRONG_FIELDS as error:
+        raise DefplanError(
+            f"the report of {material.folder} cannot be made: what its files say does not fit"
+            f" {make.__name__} ({first_line(error)}): make the run anew with --fresh, --debug shows where"
+        ) from error
 
 
 def summary(material: Material) -> list[Fact]:
