@@ -73,11 +73,11 @@ $(READY): $(SOURCES) | $(PYTHON)
 	@touch $@
 
 $(PYTHON):
-	@found=; for p in python3.11 python3.12 python3.13 python3 python; do \
-	  if $$p -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; \
+	@found=; for p in python3.11 python3.12 python3 python; do \
+	  if $$p -c 'import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info < (3, 13))' 2>/dev/null; \
 	  then found=$$p; break; fi; done; \
 	if [ -z "$$found" ]; then \
-	  echo "defplan needs Python 3.11 or newer with its venv module; none was found on PATH" >&2; \
+	  echo "defplan needs Python 3.11 or 3.12 with its venv module; none was found on PATH" >&2; \
 	  exit 1; fi; \
 	echo "making $(VENV) with $$($$found --version)"; $$found -m venv $(VENV)
 

@@ -64,7 +64,8 @@ class Material:
     @property
     def config(self) -> dict[str, Any]:
         """What the run was asked for."""
-        return self.documents.get("run", {}).get("config", {})
+        config = self.documents.get("run", {}).get("config")
+        return config if isinstance(config, dict) else {}
 
     @property
     def seconds(self) -> dict[str, float]:

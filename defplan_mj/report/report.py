@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -32,6 +33,7 @@ from defplan_mj.report.sections.training import training_section
 from defplan_mj.report.sections.trajectories import trajectory_section
 
 REPORT_FILE = "report.html"
+_Part = TypeVar("_Part")
 
 
 def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Path:
@@ -50,7 +52,7 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
     sections = []
     for i, make in enumerate(SECTIONS):
         progress("report", i / len(SECTIONS))
-        sections.append(_section(make, material))
+        sections.append(_made(make, material))
     environment = Environment(
         loader=PackageLoader("defplan_mj.report"),
         autoescape=True,
@@ -62,7 +64,7 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
         title=material.task,
         seed=material.config.get("seed", _seed_of(material.folder)),
         description=material.spec.description if material.spec else "",
-        facts=summary(material),
+        facts=_made(summary, material),
         sections=sections,
     )
     path = material.folder / REPORT_FILE
@@ -71,8 +73,8 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
     return path
 
 
-def _section(make: Callable[[Material], Section], material: Material) -> Section:
-    """Make a section; files whose content makes no sense are a sentence."""
+def _made(make: Callable[[Material], _Part], material: Material) -> _Part:
+    """Make a part of the page; files whose content makes no sense are a sentence."""
     try:
         return make(material)
     except files.WRONG_FIELDS as error:

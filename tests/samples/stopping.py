@@ -142,7 +142,10 @@ def _left(logs: Path, temporary: Path) -> Iterator[str]:
                 yield f"a child is left: {command[:80]}"
         except OSError:
             continue
-    yield from (f"{path.name} is left among the temporary files" for path in temporary.iterdir())
+    for path in temporary.iterdir():
+        # torch's own, one for a user, to be used again
+        if not path.name.startswith("torchinductor_"):
+            yield f"{path.name} is left among the temporary files"
     folder = logs / "fish-swim-seed0"
     if not folder.is_dir():
         return

@@ -21,6 +21,10 @@ NAVIGATION = Navigation(
 )
 
 
+TIMES = ("seconds", "wall", "decision", "decision_ms", "real_time_factor")
+"""Of a run's JSON, what the clock says."""
+
+
 class Wave:
     """A gait solver that optimises nothing: a travelling wave with a bend to either side."""
 
@@ -101,10 +105,16 @@ def said_by(folder: Path) -> dict[str, Any]:
             parts = (log.states, log.target_shapes, log.clearance, log.values, log.laser)
             found[path.name] = (log.fault, log.outcome, *(part.tobytes() for part in parts))
         elif path.suffix == ".json" and path.name != "run.json":
-            found[path.name] = files.without_times(json.loads(path.read_text()))
+            found[path.name] = _without_times(json.loads(path.read_text()))
         else:
             found[path.name] = "there"
     return found
+
+
+def _without_times(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _without_times(one) for name, one in value.items() if name not in TIMES}
+    return [_without_times(one) for one in value] if isinstance(value, list) else value
 
 
 if __name__ == "__main__":
