@@ -8,7 +8,7 @@ SOURCES := requirements.lock pyproject.toml setup.py \
 	$(wildcard defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch])
 LINTED := defplan_mj tasks solvers tests
 
-.PHONY: help setup demo test test-full sanitize sanitize-fast bench soak lint clean
+.PHONY: help setup demo test test-full sanitize sanitize-fast bench soak hashes lint clean
 
 help:
 	@echo "make demo       build the fish from its mesh, train it, log and report it"
@@ -53,6 +53,10 @@ sanitize sanitize-fast: $(READY)
 bench: $(READY)
 	$(VENV)/bin/defplan bench
 
+# After a change of requirements.lock; it asks the package index and takes some minutes.
+hashes: | $(PYTHON)
+	$(PYTHON) .ci/hashes.py
+
 # Its result is kept in docs/reliability.md.
 soak: $(READY)
 	$(PYTHON) -m tests.soak $(SOAK)
@@ -67,6 +71,7 @@ lint: $(READY)
 
 # The libraries are built first and by themselves, so that a missing compiler is one sentence.
 $(READY): $(SOURCES) | $(PYTHON)
+	@echo "installing requirements.lock (about 80 packages) and building two C libraries: some minutes"
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	$(PYTHON) setup.py -q build_ext --inplace
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
