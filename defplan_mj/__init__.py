@@ -2,7 +2,7 @@
 
 import warnings
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # dm_control tries GLFW on import, even where nothing will be drawn; without a screen it says so.
 warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing")

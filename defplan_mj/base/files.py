@@ -250,7 +250,7 @@ def load_archive(
     if isinstance(source, Path) and not source.is_file():
         raise DefplanError(f"{kind} file {source} does not exist")
     try:
-        contents, header = _contents(source)
+        contents, header = archive_contents(source)
         digest = header["hash"]
     except PermissionError as error:
         raise DefplanError(f"cannot read {source}: {error.strerror}") from error
@@ -273,8 +273,8 @@ def load_archive(
     return contents, meta, digest
 
 
-def _contents(source: Path | Packed) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Return arrays and header; raises many kinds of error."""
+def archive_contents(source: Path | Packed) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Return arrays and header of an archive, unjudged; raises many kinds of error."""
     _check_sizes(source)  # before memory is taken for what a damaged header asks for
     with np.load(_opened(source), allow_pickle=False) as archive:
         header = parse_json(archive[_HEADER].tobytes())

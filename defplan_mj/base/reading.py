@@ -122,7 +122,7 @@ def _integer(digits: str) -> int:
 
 def _check_depth(value: Any) -> None:
     level = [value]
-    for _ in range(MOST_JSON_DEPTH + 1):
+    for _ in range(MOST_JSON_DEPTH):
         level = [
             inner
             for outer in level

@@ -183,5 +183,5 @@ class Body:
                 source=meta["source"],
                 **arrays,
             )
-        validate_body(body, str(path))
+            validate_body(body, str(path))
         return body

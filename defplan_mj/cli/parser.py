@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from defplan_mj import __version__
 from defplan_mj.base.printable import printable
 from defplan_mj.cli import body, commands, logs, new, study
 
@@ -55,6 +54,22 @@ class Parser(argparse.ArgumentParser):
             )
 
 
+class _Version(argparse.Action):
+    """Says what is installed; the kernel is looked at only when it is asked for."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option: str | None = None,
+    ) -> NoReturn:
+        from defplan_mj.cli.version import version_text
+
+        print(version_text(), flush=True)
+        parser.exit()
+
+
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """Parse `argv`; the function that runs the command is in `command`."""
     words = _joined(sys.argv[1:] if argv is None else argv)
@@ -85,7 +100,9 @@ def build() -> argparse.ArgumentParser:
         " `defplan list` names all that are installed.",
         allow_abbrev=False,
     )
-    parser.add_argument("--version", action="version", version=f"defplan {__version__}")
+    parser.add_argument(
+        "--version", action=_Version, nargs=0, help="show versions and the kernel's build"
+    )
     subparsers = parser.add_subparsers(
         title="commands", metavar="COMMAND", required=True, parser_class=Parser
     )

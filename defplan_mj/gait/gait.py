@@ -137,7 +137,7 @@ class Gait:
                 meta=meta["meta"],
                 **arrays,
             )
-        validate_gait(gait, str(path))
+            validate_gait(gait, str(path))
         return gait
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ import numpy as np
 from defplan_mj.base import files, threads
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.files import file_hash
+from defplan_mj.base.reading import read_json
 from defplan_mj.pipeline.provenance import plugin_data
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import write_json
@@ -198,7 +198,7 @@ def skills(run: Run) -> list[dict[str, Any]]:
 
 
 def _verdicts(run: Run) -> dict[str, Any]:
-    return json.loads(run.file(SKILLS_FILE).read_text(encoding="utf-8"))
+    return read_json(run.file(SKILLS_FILE), "verdict")
 
 
 def _require_steering(run: Run) -> None:
@@ -223,7 +223,7 @@ def _load_gait(run: Run) -> Gait:
 
 def _gait_figures(run: Run) -> dict[str, Any]:
     """Return what the gaits do while they are switched: advance and turn a cycle, falls."""
-    return json.loads(run.file(SWITCHING_FILE).read_text(encoding="utf-8"))["gait"]
+    return read_json(run.file(SWITCHING_FILE), "measurement")["gait"]
 
 
 GAIT = Stage(

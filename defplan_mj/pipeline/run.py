@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.pipeline.outlook import UNASKED, Anew, Consent, Outlook, why_anew
@@ -179,12 +180,14 @@ class Run:
         if name not in self._done:
             raise KeyError(f"stage {name} is not done yet")
         if name not in self._results:
-            self._results[name] = self._stages[name].load(self)
+            with files.fields_of(self.folder.path, f"run ({name})"):
+                self._results[name] = self._stages[name].load(self)
         return self._results[name]
 
     def figures(self, name: str) -> Any:
         """Return what the JSON says of a stage that is done."""
-        return self._stages[name].figures(self)
+        with files.fields_of(self.folder.path, f"run ({name})"):
+            return self._stages[name].figures(self)
 
     def is_done(self, name: str) -> bool:
         """Return whether a stage was done in this process."""

@@ -17,6 +17,7 @@ from defplan_mj import __version__
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.files import file_hash
+from defplan_mj.base.reading import read_json
 from defplan_mj.pipeline.provenance import content_of, plain_data
 
 FORMAT_VERSION = 1
@@ -229,13 +230,13 @@ def has_run(path: Path) -> bool:
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Record]]:
     """Read run.json: configuration and records; one that is damaged counts as not there."""
     try:
-        data = json.loads((path / RUN_FILE).read_text(encoding="utf-8"))
+        data = read_json(path / RUN_FILE, "run")
         if data["format"] != FORMAT_VERSION:
             return {}, {}
         records = {name: Record(**record) for name, record in data["stages"].items()}
         kept = {name: record for name, record in records.items() if _is_sound(record)}
         return dict(data["config"]), kept
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (DefplanError, *files.WRONG_FIELDS):
         return {}, {}
 
 

@@ -101,5 +101,5 @@ class Surrogate:
         with files.fields_of(path, "surrogate"):
             contents: dict[str, Any] = {**meta, **arrays, "task_names": tuple(meta["task_names"])}
             surrogate = cls(**contents)
-        validate_surrogate(surrogate, str(path))
+            validate_surrogate(surrogate, str(path))
         return surrogate
