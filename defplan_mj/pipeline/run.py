@@ -58,6 +58,8 @@ class Run:
         self._stages = {stage.name: stage for stage in STAGES}
         self._done: dict[str, Record] = {}
         self._results: dict[str, Any] = {}
+        self.working = ""
+        """Name of the stage that is being made, or was the last; '': none was."""
 
     # ---- making
 
@@ -84,6 +86,7 @@ class Run:
             self.do("report")
 
     def _do(self, stage: Stage) -> None:
+        self.working = stage.name
         for name in self._needs(stage):
             self._stages[name].require(self)
         before = {name: self._done[name].contents for name in self._needs(stage)}
