@@ -58,6 +58,8 @@ SWIM = TaskSpec(
         "planner_h": 2.5,
         "features_h": 0.7,
         "k2": 10,
+        "n2_cycles": 200,
+        "steps_per_cycle": 11,
         "k2_success": 1.0,
         "tasks": ("left", "right", "forward"),
         "rotation_mean": (0.833, 0.969, 0.131),

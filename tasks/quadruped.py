@@ -77,6 +77,8 @@ SWIM = TaskSpec(
         "planner_h": 11.0,
         "features_h": 9.12,
         "k2": 30,
+        "n2_cycles": 800,
+        "steps_per_cycle": 9,
         "k2_success": 1.0,
         "tasks": ("front", "back", "left", "right", "forward"),
         "rotation_mean": (0.184, 0.206, 0.229, 0.211, 0.971),

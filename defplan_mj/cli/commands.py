@@ -31,17 +31,18 @@ if TYPE_CHECKING:
 
 
 def list_installed(arguments: argparse.Namespace, console: Console) -> int:
-    """Name the tasks, solvers, sensors and the suite that are installed, broken ones with the reason."""
+    """Name the tasks, solvers, sensors, studies and the suite that are installed, broken ones with the reason."""
     from defplan_mj import registry, suite
     from defplan_mj.rl.register import registered
 
     tasks, solvers, domains = registry.tasks(), registry.solvers(), registry.domains()
-    sensors, ids = registry.sensors(), registered()
+    sensors, ids, studies = registry.sensors(), registered(), registry.studies()
     data: dict[str, list[dict[str, Any]]] = {
         "tasks": [_entry(e, "description") for e in tasks],
         "solvers": [_entry(e, "summary", "kind") for e in solvers],
         "sensors": [_entry(e) for e in sensors],
         "domains": [_entry(e) for e in domains],
+        "studies": [_entry(e) for e in studies],
         "suite": [
             {"domain": domain, "task": task, "gymnasium": ids.get((domain, task))}
             for domain, task in suite.ALL_TASKS
@@ -57,11 +58,12 @@ def list_installed(arguments: argparse.Namespace, console: Console) -> int:
         )
     ]
     rows += [["sensor", d["name"], ""] for d in data["sensors"] if "error" not in d]
+    rows += [["study", d["name"], ""] for d in data["studies"] if "error" not in d]
     rows += [
         ["suite task", f"{d['domain']} {d['task']}", d["gymnasium"] or ""] for d in data["suite"]
     ]
     console.result(data, _left(rows))
-    for entry in [*tasks, *solvers, *sensors, *domains]:
+    for entry in [*tasks, *solvers, *sensors, *domains, *studies]:
         if entry.error:
             console.say(f"{entry.name} of package {entry.package} is broken: {entry.error}")
     return 0

@@ -118,7 +118,7 @@ def build() -> argparse.ArgumentParser:
         add(
             "list",
             commands.list_installed,
-            "name the tasks, solvers, sensors and suite tasks that are installed",
+            "name the tasks, solvers, sensors, studies and suite tasks that are installed",
         )
     )
     _run(

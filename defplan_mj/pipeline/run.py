@@ -60,6 +60,8 @@ class Run:
         self._done: dict[str, Record] = {}
         self._results: dict[str, Any] = {}
         self._place = ""  # of the stage that is being made among those of the command
+        self.working = ""
+        """Name of the stage that is being made, or was the last; '': none was."""
 
     # ---- making
 
@@ -88,6 +90,7 @@ class Run:
             self.do("report")
 
     def _do(self, stage: Stage) -> None:
+        self.working = stage.name
         for name in self._needs(stage):
             self._stages[name].require(self)
         before = {name: self._done[name].contents for name in self._needs(stage)}

@@ -172,6 +172,17 @@ def gather(folder: str | Path) -> Material:
     return material
 
 
+def training_curves(folder: Path, planner: str) -> dict[str, np.ndarray]:
+    """Return the training curves of a run's planner by name; none if they are missing or damaged."""
+    for name in (f"training-{planner}.npz", "training.npz"):
+        if (folder / name).is_file():
+            try:
+                return _training(folder / name)[0]
+            except DefplanError:
+                return {}
+    return {}
+
+
 def missing(material: Material, *names: str) -> Missing:
     """Return the sentence on files that a section needs and does not have."""
     for name in names:

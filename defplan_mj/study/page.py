@@ -9,9 +9,10 @@ from defplan_mj.base import files
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.report.content import Fact, Section, duration, percent
 from defplan_mj.report.report import render_page
+from defplan_mj.study import paper
 from defplan_mj.study.findings import Findings
 from defplan_mj.study.rows import rate
-from defplan_mj.study.sections import SECTIONS, gait_solvers
+from defplan_mj.study.sections import SECTIONS, gait_solvers, moving
 from defplan_mj.study.spec import Study
 from defplan_mj.study.table import Row
 
@@ -29,7 +30,7 @@ def write_page(
     The page is one file that needs nothing else. Its sections are those of the study's kind of page.
     """
     findings = Findings(study, rows, root, progress)
-    made = []
+    made = paper.sections(findings) if study.page == "paper" else []
     sections = _sections(study.page)
     for i, make in enumerate(sections):
         progress("page", i / len(sections))
@@ -52,6 +53,8 @@ def _sections(page: str) -> Sequence[MakeSection]:
     if page == "optimisers":
         others = [section for section in SECTIONS if section is not gait_solvers]
         return (gait_solvers, *others)
+    if page == "paper":
+        return [section for section in SECTIONS if section is not moving]  # it is Fig. 6
     return SECTIONS
 
 

@@ -57,20 +57,19 @@ def run_job(job: Job, progress: Progress = no_progress) -> Row:
     """Carry out a run; return its row. A run that fails is a row with its sentence."""
     threads.set_environment(1)
     threads.limit_processes(job.processes)
-    stage = ["task"]
     made: Row = {}
     try:
         require_same(job.build)
-        _carry_out(job, made, _naming(progress, stage))
+        _carry_out(job, made, progress)
+        return complete({**keys_of(job.cell), "failed": False, **made})
     except DefplanError as error:
-        made |= {"failed": True, "error": str(error), "failed_in": stage[0]}
+        sentence = str(error)
     except MemoryError:
         sentence = "the memory is used up: use fewer --jobs or a smaller mesh"
-        made |= {"failed": True, "error": sentence, "failed_in": stage[0]}
     except Exception as error:  # a plugin may fail in any way; the other runs go on
         sentence = f"this is a mistake in defplan or a plugin: {type(error).__name__}: {error}"
-        made |= {"failed": True, "error": sentence, "failed_in": stage[0]}
-    return complete({**keys_of(job.cell), "failed": False, **made})
+    told = {"failed_in": "task", **made, "failed": True, "error": sentence}
+    return complete({**keys_of(job.cell), **told})
 
 
 def failed_row(cell: Cell, sentence: str, where: str) -> Row:
@@ -91,16 +90,6 @@ def keys_of(cell: Cell) -> Row:
         "variant": cell.variant,
         "folder": cell.folder.as_posix(),
     }
-
-
-def _naming(progress: Progress, stage: list[str]) -> Progress:
-    """Return a Progress that keeps in `stage` which stage is at work."""
-
-    def show(message: str, fraction: float) -> None:
-        stage[0] = message.partition(":")[0].split(" ")[0]
-        progress(message, fraction)
-
-    return show
 
 
 def _carry_out(job: Job, made: Row, progress: Progress) -> None:
@@ -127,8 +116,10 @@ def _carry_out(job: Job, made: Row, progress: Progress) -> None:
             ) as run:
                 try:
                     _do(run, cell.until)
-                finally:
-                    made |= row_of(run)
+                except Exception:
+                    made |= {**row_of(run), "failed_in": run.working or "task"}
+                    raise
+                made |= row_of(run)
                 return
         except FolderBusy:
             if time.monotonic() > deadline:

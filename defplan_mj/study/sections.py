@@ -193,12 +193,13 @@ def gait_solvers(findings: Findings) -> Section | None:
     ]
     if len(solvers) > 1:
         blocks += _profiles(findings.rows)
+    points = {task: _points(findings, task) for task in findings.tasks}
+    drawn = [figures.scatter_figure(told, task) for task, told in points.items() if told]
+    if not drawn:
+        return Section("gait-solvers", "Gait solvers", blocks)
     blocks.append(
         Figures(
-            [
-                drawing(figures.scatter_figure(_points(findings, task), task))
-                for task in findings.tasks
-            ],
+            [drawing(figure) for figure in drawn],
             "Objective as re-simulated against the solver's wall time, a dot a seed; below and to the left is "
             "better.",
         )
@@ -243,7 +244,8 @@ def _profiles(rows: Sequence[Row]) -> list[Block]:
 
 
 def _points(findings: Findings, task: str) -> dict[str, list[tuple[float, float]]]:
-    return {
+    """Return seconds and objective of each run, by solver; only of solvers that have any."""
+    found = {
         solver: [
             (row["solver_seconds"], row["resimulated"])
             for row in own
@@ -252,6 +254,7 @@ def _points(findings: Findings, task: str) -> dict[str, list[tuple[float, float]
         for (of, solver), own in _gait_runs(findings.rows).items()
         if of == task
     }
+    return {solver: pairs for solver, pairs in found.items() if pairs}
 
 
 def _falls(rows: Sequence[Row]) -> Estimate | None:

@@ -17,7 +17,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli import commands
 from defplan_mj.cli.console import Console, table
 
-COMMANDS = "list run body gait surrogate planner evaluate bench compare replay view".split()
+COMMANDS = "list run study body gait surrogate planner evaluate bench compare replay view".split()
 
 
 @pytest.fixture

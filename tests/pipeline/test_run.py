@@ -36,47 +36,8 @@ from defplan_mj.report.material import gather
 from defplan_mj.report.report import SECTIONS
 from defplan_mj.task import TaskSpec
 from tests.samples.processes import heed_ctrl_c
-from tests.samples.tiny_run import NAVIGATION, SMALL, Wave
-
-
-class Lame(Wave):
-    """A gait solver that fails."""
-
-    def solve(self, problem, seed, progress=no_progress):
-        raise DefplanError("it cannot walk")
-
-
-class Straight:
-    """A planner that always takes the first gait."""
-
-    def reset(self):
-        pass
-
-    def values(self, observation):
-        return np.array([1.0, 0.0, 0.0])
-
-
-class Stubborn:
-    """The plugin of `Straight`."""
-
-    kind = "planner"
-    name = "stubborn"
-    summary = "never turns"
-    needs_training = False
-
-    def __init__(self):
-        self.calls = 0
-
-    def train(self, surrogate, navigation, seed, seconds=None, progress=no_progress):
-        self.calls += 1
-        return TrainResult(Straight(), {"iterations": np.arange(3.0)}, 0.0)
-
-    def save(self, planner, path):
-        files.save_archive(path, "stubborn", 1, {}, {})
-
-    def load(self, path, surrogate, navigation):
-        files.load_archive(path, "stubborn", 1)
-        return Straight()
+from tests.samples.solvers import Lame, Straight, Stubborn, Wave
+from tests.samples.tiny_run import NAVIGATION, SMALL
 
 
 @dataclasses.dataclass

@@ -8,12 +8,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from defplan_mj.base import files
-from defplan_mj.base.progress import no_progress
-from defplan_mj.gait.gait import Gait
 from defplan_mj.task import BodyOptions, Navigation
+from tests.samples.solvers import Wave
 
 SMALL = BodyOptions(vertices=300, modes=4, basis=12, samples=10, drag_points=24)
 NAVIGATION = Navigation(
@@ -23,40 +20,6 @@ NAVIGATION = Navigation(
 
 TIMES = ("seconds", "wall", "decision", "decision_ms", "real_time_factor")
 """Of a run's JSON, what the clock says."""
-
-
-class Wave:
-    """A gait solver that optimises nothing: a travelling wave with a bend to either side."""
-
-    kind = "gait"
-    summary = "a wave"
-
-    def __init__(self, name="wave"):
-        self.name = name
-        self.calls = 0
-
-    def solve(self, problem, seed, progress=no_progress):
-        self.calls += 1
-        progress("gait: waving", 0.5)
-        body = problem.dynamics.body
-        alpha = np.zeros((3, problem.elements, body.n_modes))
-        alpha[:, 0, :2] = 0.2 * body.amplitude[:2]
-        alpha[:, 1, 0] = 0.3 * np.array([0.0, 1.0, -1.0]) * body.amplitude[0]
-        beta = np.zeros_like(alpha)
-        beta[:, 0] = 1.0
-        mu = np.zeros((problem.elements, body.n_modes))
-        mu[0, 1] = np.pi / 2
-        return Gait(
-            body_hash=body.hash,
-            task_names=tuple(task.name for task in problem.tasks),
-            timestep=problem.dynamics.timestep,
-            steps_per_cycle=problem.steps_per_cycle,
-            alpha=alpha,
-            beta=beta,
-            mu=mu,
-            amplitude=body.amplitude,
-            meta={"solver": self.name, "seed": seed},
-        )
 
 
 def stand_in() -> None:
