@@ -368,7 +368,7 @@ def _replay(sub: argparse.ArgumentParser) -> None:
         "--video",
         type=Path,
         metavar="FILE",
-        help="draw it as a video (MP4, GIF) or as a picture of its end (PNG)",
+        help="draw it as a video (MP4, WebP, GIF) or as a picture of its end (PNG)",
     )
     sub.add_argument(
         "--camera",

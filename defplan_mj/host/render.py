@@ -14,6 +14,7 @@ from typing import Any
 import imageio.v2 as imageio
 import mujoco
 import numpy as np
+from PIL import Image
 
 from defplan_mj.base import files, rotations
 from defplan_mj.base.errors import DefplanError
@@ -30,7 +31,7 @@ MAP = "map"  # sees the whole way from straight above, to scale
 OVERVIEW = "overview"  # sees the whole way from behind and above
 CHASE, SIDE, TOP = "chase", "side", "top"  # of the model: near the robot
 CAMERAS = (CHASE, SIDE, TOP, MAP, OVERVIEW)
-FORMATS = (".mp4", ".gif", ".png")
+FORMATS = (".mp4", ".webp", ".gif", ".png")
 
 TRAIL_RGBA = np.array([0.95, 0.98, 1.0, 1.0], np.float32)
 _TRAIL_RADIUS = {MAP: 0.06, OVERVIEW: 0.03}  # m
@@ -70,7 +71,9 @@ def check_video(path: str | Path, camera: str = CHASE) -> None:
             f"{path} is a folder: name a video in it, for example {Path(path) / 'fish.mp4'}"
         )
     if Path(path).suffix.lower() not in FORMATS:
-        raise DefplanError(f"cannot write a video as {path}: end its name in .mp4, .gif or .png")
+        raise DefplanError(
+            f"cannot write a video as {path}: end its name in .mp4, .webp, .gif or .png"
+        )
     if camera not in CAMERAS:
         close = difflib.get_close_matches(camera, CAMERAS, n=1)
         guess = f", did you mean {close[0]}?" if close else ":"
@@ -221,7 +224,7 @@ def render_states(
 
     Args:
         states: (n, 13 + 3r), `timestep` apart, the first at time 0.
-        path: an .mp4 or .gif file takes all frames in real time; a .png takes the last state, with
+        path: an .mp4, .webp or .gif file takes all frames in real time; a .png takes the last state, with
             the way to it; None returns the frames.
         size: width, height in pixels; None: that of the quality.
         fps: frames a second of simulated time.
@@ -425,20 +428,19 @@ def _write(frames: Iterator[np.ndarray], path: Path, fps: float, still: bool) ->
     with files.atomic_path(path) as temporary:
         if still:
             imageio.imwrite(temporary, next(frames))
-            return
-        options: dict[str, Any] = {"fps": fps}
-        if path.suffix.lower() == ".gif":
-            options |= {"loop": 0}
-        else:
-            options |= {
-                "quality": 8,
-                "macro_block_size": 2,
-                "output_params": ["-preset", "veryfast"],
-            }
-        writer: Any
-        with imageio.get_writer(temporary, **options) as writer:
-            for frame in frames:
-                writer.append_data(frame)
+        elif path.suffix.lower() == ".mp4":
+            options: dict[str, Any] = {"quality": 8, "macro_block_size": 2}
+            options["output_params"] = ["-preset", "veryfast"]
+            writer: Any
+            with imageio.get_writer(temporary, fps=fps, **options) as writer:
+                for frame in frames:
+                    writer.append_data(frame)
+        else:  # all pictures at once: for some seconds, as on a page
+            first, *others = map(Image.fromarray, frames)
+            duration, best = round(1000 / fps), {"quality": 60, "method": 4}
+            first.save(
+                temporary, save_all=True, append_images=others, duration=duration, loop=0, **best
+            )
 
 
 def _open_context(width: int, height: int):
