@@ -8,7 +8,7 @@ SOURCES := requirements.lock pyproject.toml setup.py \
 	$(wildcard defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch])
 LINTED := defplan_mj tasks solvers tests
 
-.PHONY: help setup demo test test-full sanitize sanitize-fast bench soak hashes lint clean
+.PHONY: help setup demo test test-full sanitize sanitize-fast bench soak hashes lint docs clean
 
 help:
 	@echo "make demo       build the fish from its mesh, train it, log and report it"
@@ -19,6 +19,7 @@ help:
 	@echo "make soak       a million steps of each robot, 10,000 bad inputs, 100 stops: at most 30 minutes"
 	@echo "                (make soak SOAK=--short tries it in 5)"
 	@echo "make lint       ruff, mypy, which package may import which, lines of C within 100 columns"
+	@echo "make docs       the documentation as a site in build/site; a broken link is an error"
 	@echo "make clean      remove what was built (not .venv, not logs)"
 
 setup: $(READY)
@@ -68,6 +69,11 @@ lint: $(READY)
 	$(VENV)/bin/lint-imports
 	@awk 'length > 100 { print FILENAME ":" FNR ": more than 100 columns"; long = 1 } \
 	  END { exit long }' defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch]
+
+docs: $(READY)
+	$(PYTHON) -c 'import mkdocs, material, mkdocstrings' 2>/dev/null || \
+	  $(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements-extras.lock
+	$(PYTHON) -m mkdocs build --strict
 
 # The libraries are built first and by themselves, so that a missing compiler is one sentence.
 $(READY): $(SOURCES) | $(PYTHON)

@@ -309,6 +309,8 @@ def view(arguments: argparse.Namespace, console: Console) -> int:
     from defplan_mj.pipeline import trial
     from defplan_mj.planning.planner import needs_obstacles
 
+    if arguments.live:
+        return _stream(arguments, console)
     require_display()  # before any work
     chosen = {"planner": arguments.planner, "feedback": arguments.feedback}
     with _stage(arguments, console, "view", **chosen) as run:
@@ -317,5 +319,25 @@ def view(arguments: argparse.Namespace, console: Console) -> int:
         planner = trial.steering(run, arguments.shield)
     environment.task.tells_obstacles = needs_obstacles(planner)
     outcomes = view(environment, lambda step: int(planner.values(step.observation).argmax()))
+    console.result({"outcomes": outcomes}, "\n".join(outcomes))
+    return 0
+
+
+def _stream(arguments: argparse.Namespace, console: Console) -> int:
+    """Stream unseen scenes to Foxglove or Lichtblick until Ctrl-C, or for --episodes."""
+    from defplan_mj.log.live import Server
+    from defplan_mj.pipeline import trial
+
+    chosen = {"planner": arguments.planner, "feedback": arguments.feedback}
+    with (
+        Server(arguments.port) as server,  # before any work
+        _stage(arguments, console, "view", **chosen) as run,
+    ):
+        run.do("planner")
+        console.say(
+            f"streaming to {server.address}: open it in Foxglove or Lichtblick; Ctrl-C ends"
+        )
+        options = arguments.shield, arguments.obstacles, arguments.episodes
+        outcomes = trial.stream(run, server, *options)
     console.result({"outcomes": outcomes}, "\n".join(outcomes))
     return 0

@@ -38,14 +38,21 @@ def replay(arguments: argparse.Namespace, console: Console) -> int:
     from defplan_mj.log.reader import read_log
     from defplan_mj.log.replay import replay_log, write_video
 
+    if arguments.video:
+        from defplan_mj.host.render import check_video
+
+        check_video(arguments.video, arguments.camera)  # before any work
     log = read_log(arguments.log)
     with console.progress() as progress:
         result = replay_log(log, progress)
         data = result.to_json()
         if arguments.video:
-            progress("drawing the video", 0.0)
-            write_video(log, arguments.video, camera=arguments.camera)
-            progress("drawing the video", 1.0)
+            write_video(
+                *(log, arguments.video, arguments.size, arguments.fps),
+                camera=arguments.camera,
+                progress=progress,
+                seconds=(arguments.since, arguments.until),
+            )
             data["video"] = str(arguments.video)
     console.result(data, result.sentence())
     return 0 if result.identical else 1
@@ -74,6 +81,8 @@ def logs(arguments: argparse.Namespace, console: Console) -> int:
 
 def logs_text(rows: list[dict[str, Any]], counts: dict[str, int]) -> str:
     """Return a row for each log, and how many ended in which way."""
+    from defplan_mj.log.compare import clearance_text
+
     columns = ["log", "task", "planner", "outcome", "cycles", "time, s", "way, m", "left, m"]
     columns += ["clearance, m", "fault"]
     cells = [
@@ -81,7 +90,7 @@ def logs_text(rows: list[dict[str, Any]], counts: dict[str, int]) -> str:
             *(row["log"], row.get("task", "-"), row.get("planner") or "-", row["outcome"] or "-"),
             str(row.get("cycles", "-")),
             *(_figure(row.get(k)) for k in ("duration_s", "way_m", "end_distance_m")),
-            _figure(row.get("clearance_min_m")),
+            clearance_text(row.get("clearance_min_m") or float("nan")),
             row["fault"],
         ]
         for row in rows

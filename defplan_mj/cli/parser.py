@@ -149,7 +149,7 @@ def build() -> argparse.ArgumentParser:
     _replay(add("replay", logs.replay, "simulate a log again, to the bit", True))
     _logs(add("logs", logs.logs, "say how the episodes of many logs ended"))
     _export(add("export", logs.export, "write logs as a table, or for Rerun"))
-    _view(add("view", commands.view, "watch a task in MuJoCo's viewer", True))
+    _view(add("view", commands.view, "watch a task in MuJoCo's viewer, or live in Foxglove", True))
     return parser
 
 
@@ -418,13 +418,28 @@ def _replay(sub: argparse.ArgumentParser) -> None:
         "--video",
         type=Path,
         metavar="FILE",
-        help="draw it as a video (MP4, GIF) or as a picture of its end (PNG)",
+        help="draw it as a video (MP4, WebP, GIF) or as a picture of its end (PNG)",
     )
     sub.add_argument(
         "--camera",
         metavar="NAME",
         default="chase",
         help="of the video: chase, side, top, map (all of the way), overview (default: chase)",
+    )
+    sub.add_argument(
+        "--size",
+        type=_size,
+        metavar="WxH",
+        help="of the video in pixels (default: 640x360, of a picture 960x540)",
+    )
+    sub.add_argument(
+        "--fps", type=_positive, default=25.0, metavar="N", help="frames a second (default: 25)"
+    )
+    sub.add_argument(
+        "--since", type=_not_negative, default=0.0, metavar="S", help="draw from there on (s)"
+    )
+    sub.add_argument(
+        "--until", type=_positive, default=math.inf, metavar="S", help="draw up to there (s)"
     )
     _common(sub)
 
@@ -437,6 +452,15 @@ def _view(sub: argparse.ArgumentParser) -> None:
         "--shield", action=argparse.BooleanOptionalAction, default=True, help="(default: with it)"
     )
     sub.add_argument("--obstacles", type=_natural, metavar="N", help="on the way to the target")
+    sub.add_argument(
+        "--live",
+        action="store_true",
+        help="stream to Foxglove or Lichtblick instead; needs no screen",
+    )
+    sub.add_argument(
+        "--port", type=_natural, default=8765, metavar="N", help="of that (default: 8765)"
+    )
+    sub.add_argument("--episodes", type=_count, metavar="N", help="of that (default: until Ctrl-C)")
     _stage(sub)
     _common(sub)
 
@@ -497,6 +521,14 @@ def _not_negative(text: str) -> float:
 
 def _poisson(text: str) -> float:
     return _number(text, float, lambda x: 0 <= x < 0.5, "a number from 0 to below 0.5")
+
+
+def _size(text: str) -> tuple[int, int]:
+    what = "a size like 640x360, of 16 to 4096 pixels"
+    sides = [_number(side, int, lambda n: 16 <= n <= 4096, what) for side in text.split("x", 1)]
+    if len(sides) != 2:
+        raise argparse.ArgumentTypeError(f"{text} is not {what}")
+    return sides[0] - sides[0] % 2, sides[1] - sides[1] % 2  # codecs want even ones
 
 
 def _number(text: str, kind: type, fits: Callable[[Any], bool], description: str) -> Any:

@@ -147,7 +147,7 @@ STEPS: list[Field] = [
     Field("target_distance_m", "from the centre of mass to the target", _target_distance),
     Field(
         "clearance_m",
-        "from the body to the nearest obstacle, negative in contact",
+        "from the body to the nearest obstacle, negative in contact; 1 if none is nearer",
         lambda log: _after(log.clearance),
     ),
     Field("collision", "whether it touches an obstacle", lambda log: _after(log.clearance) < 0),
@@ -328,3 +328,8 @@ EPISODES: list[Field] = [
 """Of the table `episodes`: a row for each log."""
 
 TABLES = {"steps": STEPS, "cycles": CYCLES, "episodes": EPISODES}
+
+
+def steps_column(log: EpisodeLog, name: str) -> np.ndarray:
+    """Return one column of the table `steps` of a log, a row for each state."""
+    return next(field for field in STEPS if field.name == name).columns(log)[name]

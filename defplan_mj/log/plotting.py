@@ -94,11 +94,13 @@ def note(axes: Axes, text: str) -> None:
 
 
 @styled
-def render_figure(figure: Figure, kind: str = "png", dpi: int = 150) -> bytes:
-    """Return a figure as the bytes of a PNG, SVG or PDF."""
+def render_figure(
+    figure: Figure, kind: str = "png", dpi: int = 150, transparent: bool = False
+) -> bytes:
+    """Return a figure as the bytes of a PNG, SVG or PDF, on white or on nothing."""
     stream = BytesIO()
     dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-    figure.savefig(stream, format=kind, dpi=dpi, metadata=dates.get(kind))
+    figure.savefig(stream, format=kind, dpi=dpi, metadata=dates.get(kind), transparent=transparent)
     return stream.getvalue()
 
 

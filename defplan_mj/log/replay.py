@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.log import channels, schemas
+from defplan_mj.log.columns import steps_column
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import versions
 from defplan_mj.log.validate import check_cycles, refuse
@@ -310,11 +312,20 @@ def _finite(values: dict[str, Any]) -> dict[str, Any]:
 def write_video(
     log: str | Path | EpisodeLog,
     video: str | Path,
-    size: tuple[int, int] = (960, 540),
+    size: tuple[int, int] | None = None,
     fps: float = 25.0,
     camera: str = "chase",
+    progress: Progress = no_progress,
+    seconds: tuple[float, float] = (0.0, np.inf),
 ) -> None:
     """Draw a log's states in their scene as a video (.mp4, .gif), or the last one (.png).
+
+    Gait, time and distance to the target are written into it.
+
+    Args:
+        size: width, height in pixels; None: see `host.render.render_states`.
+        fps: frames a second.
+        seconds: the part of the log that is drawn, from and to, s.
 
     Raises:
         DefplanError: the log cannot be read, or the video cannot be drawn or written.
@@ -323,10 +334,22 @@ def write_video(
     from defplan_mj.host.skin import texture_of
 
     log = log if isinstance(log, EpisodeLog) else read_log(log)
+    since, until = np.searchsorted(log.time - log.time[0], [seconds[0], seconds[1]])
+    part = slice(int(since), max(int(until), int(since) + 1))
+    if part.start >= len(log.states):
+        raise DefplanError(f"log {log.path} ends before {seconds[0]:g} s")
+    gait, distance = steps_column(log, "gait"), steps_column(log, "target_distance_m")
+
+    def caption(index: int) -> tuple[str, str]:
+        at = part.start + index
+        values = (gait[at] or "-", f"{log.time[at]:.1f} s", f"{distance[at]:.1f} m")
+        return "gait\ntime\nto target", "\n".join(values)
+
+    shift = log.time[part.start] * log.scene.velocities  # a film begins at time 0
     render_states(
         log.body,
-        log.states,
-        log.scene,
+        log.states[part],
+        dataclasses.replace(log.scene, centres=log.scene.centres + shift),
         video,
         size,
         fps,
@@ -334,4 +357,6 @@ def write_video(
         timestep=log.timestep,
         terrain=log.terrain,
         texture=texture_of(log.task),
+        caption=caption,
+        progress=progress,
     )

@@ -100,9 +100,16 @@ class Material:
         return self.logs[0].space if self.logs else PLANE.name
 
     @property
+    def walks(self) -> bool:
+        """Whether the robot stands on something, from which it can fall; as far as it is known."""
+        if self.spec is not None:
+            return self.spec.world.walks
+        return any("terrain.json" in log.attachments for log in self.logs)
+
+    @property
     def legged(self) -> bool:
         """Whether gaits are seen better from the side: in space, and on the ground."""
-        return self.space == SPACE.name or (self.spec is not None and self.spec.world.walks)
+        return self.space == SPACE.name or self.walks
 
     @property
     def switching(self) -> dict[str, Any]:

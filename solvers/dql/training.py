@@ -280,6 +280,7 @@ class _Checkpoints(BaseCallback):
     def _on_training_start(self) -> None:
         assert isinstance(self.model, DQN)
         self.averaged = copy.deepcopy(self.model.q_net)
+        self.evaluate()  # the curves begin where the training does
 
     def _on_step(self) -> bool:
         assert isinstance(self.model, DQN)

@@ -52,7 +52,7 @@ def controls_figure(gait: Gait, task: int) -> Figure:
         axes.set_ylim(-2.1 * bound * (len(curves) - 0.4), 1.2 * bound)
         axes.set_title(f"{title}; lines are {2.1 * bound:.1f} apart", fontweight="bold", loc="left")
     else:
-        axes.set(ylabel="target shape", ylim=(-1.08 * bound, 1.08 * bound))
+        axes.set(ylabel="target shape (1)", ylim=(-1.08 * bound, 1.08 * bound))
         axes.set_title(title, fontweight="bold", loc="left")
         figure.legend(loc="outside right center", handlelength=1.2)
     return figure
@@ -138,7 +138,7 @@ def history_figure(history: Sequence[float]) -> Figure:
     # line searches may try costs far above all others
     low, high = best[-1], np.percentile(values, 90)
     axes.set_ylim(low - 0.08 * (high - low) - 1e-9, high + 0.3 * (high - low) + 1e-9)
-    axes.set(xlabel="iteration", ylabel="objective")
+    axes.set(xlabel="iteration", ylabel="objective (1)")
     return figure
 
 
