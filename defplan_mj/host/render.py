@@ -437,7 +437,8 @@ def _write(frames: Iterator[np.ndarray], path: Path, fps: float, still: bool) ->
                     writer.append_data(frame)
         else:  # all pictures at once: for some seconds, as on a page
             first, *others = map(Image.fromarray, frames)
-            duration, best = round(1000 / fps), {"quality": 60, "method": 4}
+            duration = round(1000 / fps)
+            best: dict[str, Any] = {"quality": 60, "method": 4}
             first.save(
                 temporary, save_all=True, append_images=others, duration=duration, loop=0, **best
             )
