@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli.console import Console
+from defplan_mj.cli.new import check_preview, show
 
 SHAPE_ERROR = 0.01  # of the length: what a file's mesh may differ by; a task says it itself
 
@@ -31,6 +32,7 @@ def body(arguments: argparse.Namespace, console: Console) -> int:
     files.check_writable(output)  # now, not after half a minute of work
     if arguments.output is None:
         console.say(f"the body goes into {output}; -o FILE puts it elsewhere")
+    check_preview(arguments)
     start = time.perf_counter()
     with console.progress() as progress:
         built, filled = build_with_account(
@@ -39,6 +41,8 @@ def body(arguments: argparse.Namespace, console: Console) -> int:
         built.save(output)
         data = _describe(built, output, time.perf_counter() - start)
         data |= _account(filled)
+        if arguments.preview is not None:
+            show(built.vertices, built.faces, arguments.preview)
         if arguments.check:
             from defplan_mj.body.check import check_body
 

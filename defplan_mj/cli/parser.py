@@ -174,6 +174,13 @@ def _guessing(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--length", type=_positive, metavar="M", help="longest extent (default: 1 m)")
     sub.add_argument("--up", choices=_AXES, help="axis of the mesh file (default: guessed)")
     sub.add_argument("--forward", choices=_AXES, help="axis of the mesh file (default: guessed)")
+    _preview(sub)
+
+
+def _preview(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--preview", type=Path, metavar="FILE.png", help="picture of which way the mesh looks"
+    )
 
 
 def _run(sub: argparse.ArgumentParser) -> None:
@@ -251,16 +258,19 @@ def _body(sub: argparse.ArgumentParser) -> None:
         metavar="M",
         help="scale the longest extent to M metres (default: the file's numbers are metres)",
     )
-    axes = ("x", "y", "z", "-x", "-y", "-z")
     sub.add_argument(
         "--up",
-        choices=axes,
+        choices=_AXES,
         metavar="AXIS",
         help="the file's axis that is up: x, y, z; --up=-z (default: a guess)",
     )
     sub.add_argument(
-        "--forward", choices=axes, metavar="AXIS", help="the file's axis that the head points along"
+        "--forward",
+        choices=_AXES,
+        metavar="AXIS",
+        help="the file's axis that the head points along",
     )
+    _preview(sub)
     sub.add_argument(
         "--strict", action="store_true", help="refuse a mesh that would have to be repaired"
     )

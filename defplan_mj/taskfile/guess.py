@@ -24,7 +24,7 @@ from defplan_mj.body.model import Material, Medium
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.body.orientation import direction, turned
 from defplan_mj.body.surface import Surface
-from defplan_mj.body.tetmesh import TetMesh, lumped_mass
+from defplan_mj.body.tetmesh import TetMesh, boundary, lumped_mass
 from defplan_mj.dynamics.terrain import STANDARD_GRAVITY
 from defplan_mj.dynamics.world import GROUND
 from defplan_mj.gait.problem import GaitProblem
@@ -77,10 +77,12 @@ class Guess:
     Attributes:
         spec: the task.
         sentence: what was guessed, for people.
+        shape: the mesh's surface as it was taken, x ahead and z up.
     """
 
     spec: TaskSpec
     sentence: str
+    shape: Surface
 
 
 def guess_task(
@@ -136,7 +138,10 @@ def guess_task(
     if kind != "ground":
         spec = _as_tried(spec, progress)
     progress("task: guessed", 1.0)
-    return Guess(spec, _sentence(spec, view, kind, hertz, path))
+    surface = (
+        body if isinstance(body, Surface) else Surface(body.vertices, boundary(body.tetrahedra)[0])
+    )
+    return Guess(spec, _sentence(spec, view, kind, hertz, path), surface)
 
 
 def _own_axis(body: Surface | TetMesh, view: View) -> tuple[float, float, float] | None:
