@@ -63,9 +63,8 @@ def read_task(path: str | Path, mesh_needed: bool = True) -> TaskSpec:
     text = _text_of(path)
     if text.count("[") > MOST_BRACKETS:
         raise DefplanError(f"{path} cannot be read: it has more than {MOST_BRACKETS} brackets")
-    if _DEEP.search(
-        text
-    ):  # tables in tables by a dotted key: reading it takes the square of its length
+    # tables in tables by a dotted key: reading it takes the square of its length
+    if _DEEP.search(text):
         raise DefplanError(f"{path} cannot be read: it is nested too deeply")
     try:
         data = tomllib.loads(text)
