@@ -66,7 +66,7 @@ def memory() -> int:
 
 
 def steps(domain: str, task: str, asked: int, seconds: float) -> Part:
-    """Step robots with random target shapes in two threads of Python; memory has to stay flat."""
+    """Step robots that wave in two threads of Python; memory has to stay flat."""
     from defplan_mj.rl.many import KernelVectorEnv
 
     part = Part(f"steps of {domain} {task}", asked)
@@ -77,12 +77,14 @@ def steps(domain: str, task: str, asked: int, seconds: float) -> Part:
             env = KernelVectorEnv(domain, task, AT_ONCE, workers=1)
             rng = np.random.default_rng(seed)
             env.reset(seed=seed)
+            phases, turn = rng.uniform(0.0, 2 * np.pi, env.action_space.shape), 0.0
             while True:
                 with lock:
                     if part.done >= asked or time.monotonic() > until:
                         break
                     part.done += AT_ONCE
-                actions = rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
+                turn += 0.3
+                actions = 0.5 * np.sin(turn + phases).astype(np.float32)
                 observation, reward, *_ = env.step(actions)
                 if not (np.isfinite(observation).all() and np.isfinite(reward).all()):
                     part.faults.append("an observation or a reward is not finite")
@@ -109,8 +111,10 @@ def steps(domain: str, task: str, asked: int, seconds: float) -> Part:
 def bad_inputs(folder: Path, asked: int, seconds: float) -> Part:
     """Give damaged and senseless files to the commands; each is a sentence, or is read rightly."""
     part = Part("bad inputs", asked)
-    until, told, kept = time.monotonic() + seconds, 0, 0
-    for argv in _inputs(folder):
+    told = kept = 0
+    inputs = _inputs(folder)
+    until = time.monotonic() + seconds
+    for argv in inputs:
         if part.done >= asked or time.monotonic() > until:
             break
         part.done += 1
@@ -127,13 +131,17 @@ def bad_inputs(folder: Path, asked: int, seconds: float) -> Part:
 
 
 def _inputs(folder: Path) -> Iterator[list[str]]:
-    """Yield command lines, each about a file that was just written."""
+    """Return command lines, each about a file that is written when it is asked for."""
     from tests.samples.bodies import pebble
     from tests.samples.logs import record_swim, swimming_files
 
     whole = folder / "whole.mcap"
     record_swim(whole, swimming_files(pebble()), cycles=2)
-    log, path, chance = whole.read_bytes(), folder / "bad.mcap", random.Random(0)
+    return _each(folder, whole.read_bytes())
+
+
+def _each(folder: Path, log: bytes) -> Iterator[list[str]]:
+    path, chance = folder / "bad.mcap", random.Random(0)
     for command in ("replay", "compare"):
         for data in hostile.senseless_logs(log).values():
             path.write_bytes(data)
@@ -181,8 +189,8 @@ def _damaged(data: bytes, chance: random.Random) -> bytes:
 def stops(folder: Path, asked: int, seconds: float) -> Part:
     """Stop tiny runs at random moments and compare what they become with an undisturbed one."""
     part = Part("stops of a run (Ctrl-C and SIGTERM)", asked)
-    until = time.monotonic() + seconds
     wanted, whole = stopping.undisturbed(folder / "undisturbed")
+    until = time.monotonic() + max(seconds - whole, 0.0) + 1.0  # one stop at the least
     found = stopping.stop_at_random(folder, asked, wanted, whole, seed=0, until=until)
     part.done, part.faults = found.stops, found.faults
     part.note = (

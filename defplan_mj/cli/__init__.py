@@ -16,6 +16,9 @@ from defplan_mj.base.printable import printable
 from defplan_mj.cli import streams
 from defplan_mj.cli.stops import Stops, Terminated
 
+LONGEST = 2000
+"""Letters of a sentence."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (without the program's name; None: that of this process).
@@ -116,4 +119,7 @@ def _system_error(error: OSError) -> str:
 
 def _say(program: str, sentence: str) -> None:
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed or on the full disk
-        print(f"{program}: {printable(sentence)}", file=sys.stderr, flush=True)
+        told = printable(sentence)
+        if len(told) > LONGEST:  # a file may bring along a name without end
+            told = f"{told[:LONGEST]} ..."
+        print(f"{program}: {told}", file=sys.stderr, flush=True)

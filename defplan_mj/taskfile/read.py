@@ -35,6 +35,8 @@ from defplan_mj.taskfile.fields import (
 )
 from defplan_mj.taskfile.source import read_source
 
+MOST_WHOLE, MOST_SIZE, MOST_LETTERS = 1_000_000, 1e15, 1000
+"""Of a whole number, of any other number, of a text."""
 _WORDS: dict[type, str] = {
     int: "a whole number",
     float: "a number",
@@ -133,12 +135,16 @@ class _Reader:
             self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {wanted}")
         if kind is float and isinstance(data, int | float):
             return self.number(data, path)
+        if isinstance(data, str) and len(data) > MOST_LETTERS:
+            self.fail(path, f"{_called(path)} is longer than {MOST_LETTERS} letters")
         if kind is Path and isinstance(data, str):
             if "\0" in data or not data:
                 self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {wanted}")
             return Path(os.path.abspath(self.file.parent / Path(data).expanduser()))
         if not isinstance(data, kind):
             self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {wanted}")
+        if kind is int and abs(data) > MOST_WHOLE:
+            self.fail(path, f"{_called(path)} is {_shown(data)}: it can be {MOST_WHOLE} at most")
         return data
 
     def number(self, data: int | float, path: lines.Path) -> float:
@@ -147,8 +153,11 @@ class _Reader:
             value = float(data)
         except OverflowError:
             value = math.inf
-        if not math.isfinite(value):
-            self.fail(path, f"{_called(path)} is {_shown(data)}: it must be a finite number")
+        if not abs(value) <= MOST_SIZE:
+            self.fail(
+                path,
+                f"{_called(path)} is {_shown(data)}: it must be a finite number, {MOST_SIZE:g} at most",
+            )
         return value
 
     def row(self, data: Any, kinds: tuple[Any, ...], path: lines.Path) -> tuple:
@@ -178,6 +187,8 @@ class _Reader:
         """Return what makes the picture of an installed task's body."""
         if not isinstance(data, str):
             self.fail(path, f"{_called(path)} is {_shown(data)}: it must be a task's name")
+        if len(data) > MOST_LETTERS:
+            self.fail(path, f"{_called(path)} is longer than {MOST_LETTERS} letters")
         try:
             return registry.get_task(data).skin
         except DefplanError as error:
@@ -256,7 +267,7 @@ class _Reader:
         told = [("mesh", spec.mesh, "mesh file")]
         told += [("shipped", path, "file") for path in spec.shipped or ()]
         for name, path, what in told:
-            if not path.is_file():
+            if not os.path.isfile(path):  # False, too, if there can be no such name
                 near = _nearest_file(path)
                 self.fail((name,), f"the {what} {path} does not exist{near}")
 

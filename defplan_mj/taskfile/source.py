@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,10 @@ from typing import Any
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.taskfile import lines
 
-MOST_BYTES = 50_000_000
+MOST_BYTES = 1_000_000
+MOST_BRACKETS = 20_000  # of tables and arrays
+# tables in tables by a dotted key: reading it takes the square of its length
+_DEEP = re.compile(r"(?:\.[^.,=\[\]{}\n]+){64}")
 
 
 def read_source(path: Path, what: str, mends: str) -> tuple[dict[str, Any], dict[lines.Path, int]]:
@@ -23,6 +27,10 @@ def read_source(path: Path, what: str, mends: str) -> tuple[dict[str, Any], dict
         DefplanError: there is none, it cannot be read, or it is no TOML.
     """
     text = _text_of(path, what, mends)
+    if text.count("[") > MOST_BRACKETS:
+        raise DefplanError(f"{path} cannot be read: it has more than {MOST_BRACKETS} brackets")
+    if _DEEP.search(text):
+        raise DefplanError(f"{path} cannot be read: it is nested too deeply")
     try:
         data = tomllib.loads(text)
     except RecursionError as error:
