@@ -134,7 +134,7 @@ def _table_one(robots: Sequence[Robot]) -> Section:
                 duration(robot.measures.get("reduced_step_s")),
                 str(one.get("gaits", "–")),
                 str(spec.gait_steps),
-                "5",
+                str(robot.measures.get("elements", "–")),
                 duration(gait[0] if gait else None),
                 duration(learning[0] if learning else None),
                 "–",
@@ -143,7 +143,7 @@ def _table_one(robots: Sequence[Robot]) -> Section:
     columns = ["robot", "vertices", "|x̄|", "f", "f̄", "K₁", "N₁", "D", "gaits", "DQL", "CNN"]
     caption = (
         "Table I. Costs of a step of the full dynamics f and the reduced f̄, of gaits, of deep Q-learning and of "
-        "the CNN's pretraining. The paper's machine had 8 cores; here steps are on one core. The planner "
+        "the CNN's pretraining. The paper's machine had 8 cores; here a step is processor time. The planner "
         "here has no CNN that is trained before. Seconds of packaged gaits are those of when they were made."
     )
     return Section("table-1", "Table I: costs", [Table(columns, rows, caption)])

@@ -115,7 +115,7 @@ class _Reader:
         fields = ("name", "description", "tasks", "seeds", *AXES, "until", "page", "options")
         self.known(data, (*fields, "variants", "leave_out", "roles", "quick"), ())
         instead = self.table(data, "quick", ())
-        self.known(instead, ("tasks", "seeds", *AXES, "options", "variants"), ("quick",))
+        self.known(instead, ("tasks", "seeds", *AXES, "options", "variants", "until"), ("quick",))
         if quick and not instead:
             self.fail((), "this study has no quick form: it has no table [quick]")
         if not quick:
@@ -135,7 +135,7 @@ class _Reader:
             seeds=self.seeds(*of("seeds")),
             variants=self.variants(*of("variants"), base),
             leave_out=self.leave_out(data.get("leave_out"), ("leave_out",)),
-            until=self.one_of(data, "until", UNTIL, "report"),
+            until=self.one_of({**data, **instead}, "until", UNTIL, "report"),
             page=self.one_of(data, "page", PAGES, "study"),
             roles=self.roles(self.table(data, "roles", ())),
             file=self.file,

@@ -57,6 +57,11 @@ def slow_toy_job(job: Job) -> Row:
     return toy_job(job, 0.4)
 
 
+def sleepy_toy_job(job: Job) -> Row:
+    """Do a toy run that takes longer than any test."""
+    return toy_job(job, 600.0)
+
+
 class Straight:
     """An engine that does runs at once, in this process, and keeps in which order."""
 

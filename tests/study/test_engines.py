@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -18,6 +20,7 @@ from defplan_mj.study.conduct import conduct
 from defplan_mj.study.engines import TRIES, Cluster, Processes, require_workers
 from defplan_mj.study.run import Job
 from defplan_mj.study.table import csv_text
+from tests.samples.paths import ROOT
 from tests.samples.study import BEGUN, Straight, slow_toy_job, toy_cells
 
 
@@ -30,14 +33,9 @@ def straight(tmp_path):
 
 def kill_one(root: Path, killed: list[int]) -> None:
     """Kill the first process that has begun the last stage of a run in `root`."""
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline:
-        for path in root.glob(f"*/*/{BEGUN}"):
-            if text := path.read_text():
-                os.kill(int(text), signal.SIGKILL)
-                killed.append(int(text))
-                return
-        time.sleep(0.01)
+    if process := wait_for(lambda: next(iter(pids(root)), 0)):
+        os.kill(process, signal.SIGKILL)
+        killed.append(process)
 
 
 def conduct_with_a_kill(root: Path, engine) -> str:
@@ -140,3 +138,40 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path):
         engines.cluster_engine(None, tmp_path / "none.json", print),
     ):
         pass
+
+
+PARENT = """
+import sys
+from pathlib import Path
+from defplan_mj.study.conduct import conduct
+from defplan_mj.study.engines import Processes
+from tests.samples.paths import ROOT
+from tests.samples.study import sleepy_toy_job, toy_cells
+if __name__ == "__main__":
+    conduct(toy_cells(), Path(sys.argv[1]), Processes(1, sleepy_toy_job))
+"""
+
+
+def test_processes_end_when_the_one_that_waits_for_them_is_killed(tmp_path):
+    (tmp_path / "parent.py").write_text(PARENT)
+    command = [sys.executable, str(tmp_path / "parent.py"), str(tmp_path / "study")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, env=environment) as parent:
+        child = wait_for(lambda: next(iter(pids(tmp_path / "study")), 0))
+        parent.kill()
+    assert wait_for(lambda: not Path(f"/proc/{child}").exists())
+
+
+def pids(root: Path) -> list[int]:
+    """Return the processes that have begun the last stage of a run in `root`."""
+    return [int(text) for p in root.glob(f"*/*/{BEGUN}") if (text := p.read_text())]
+
+
+def wait_for(look):
+    """Return what `look` finds, once it finds something; None after two minutes."""
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline:
+        if found := look():
+            return found
+        time.sleep(0.02)
+    return None

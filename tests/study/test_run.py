@@ -98,9 +98,7 @@ def test_rows_have_what_the_runs_say_and_a_failed_run_its_sentence(study, plugin
 
     paths = write_tables(tmp_path / "small", cells(study), rows)
     episodes = read_parquet(paths["episodes"])
-    assert len(episodes) == 2 * 2 * (
-        2 + 2
-    )  # runs, with and without the check, both kinds of scenes
+    assert len(episodes) == 2 * 2 * 2  # runs, with and without the check, kinds of scenes
     text = write_page(study, rows, tmp_path / "small").read_text()
     for word in (
         "Does it arrive?",

@@ -35,6 +35,7 @@ variant = "many"
 [quick]
 tasks = ["fish-swim"]
 seeds = 1
+until = "gait"
 """
 
 
@@ -74,7 +75,7 @@ def test_a_plugin_and_the_tasks_own_of_the_same_name_are_one_run(write):
 def test_the_quick_form_says_what_it_says_instead(write):
     study = read_study(write(GOOD), quick=True)
     assert (study.name, study.seeds, study.tasks) == ("mine-quick", (0,), ("fish-swim",))
-    assert study.planners == ("", "greedy")
+    assert study.planners == ("", "greedy") and study.until == "gait"
     with pytest.raises(DefplanError, match="has no quick form"):
         read_study(write('tasks = ["fish-swim"]\n'), quick=True)
 
