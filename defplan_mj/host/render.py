@@ -94,7 +94,9 @@ class Offscreen:
         model.vis.global_.offheight = max(height, model.vis.global_.offheight)
         self._context = _open_context(width, height)
         self._model = model
-        self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
+        scale = mujoco.mjtFontScale  # of what is written into pictures
+        font = scale.mjFONTSCALE_150 if width >= 600 else scale.mjFONTSCALE_100
+        self._mjr = mujoco.MjrContext(model, font)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         self._rect = mujoco.MjrRect(0, 0, width, height)
         self._option = mujoco.MjvOption()
@@ -437,10 +439,14 @@ def _write(frames: Iterator[np.ndarray], path: Path, fps: float, still: bool) ->
                     writer.append_data(frame)
         else:  # all pictures at once: for some seconds, as on a page
             first, *others = map(Image.fromarray, frames)
-            duration = round(1000 / fps)
-            best: dict[str, Any] = {"quality": 60, "method": 4}
             first.save(
-                temporary, save_all=True, append_images=others, duration=duration, loop=0, **best
+                temporary,
+                path.suffix[1:].lower(),
+                save_all=True,
+                append_images=others,
+                duration=round(1000 / fps),
+                loop=0,
+                quality=60,
             )
 
 
