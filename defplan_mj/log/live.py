@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from mcap.writer import Writer
+from mcap_protobuf.schema import register_schema
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.log import channels
@@ -47,6 +49,14 @@ class Server:
             ) from error
         self._foxglove = foxglove
         self._context = foxglove.Context()
+        self._schemas: list[Any] = []
+        self._channels: list[Any] = []
+        self._topics: dict[str, int] = {}
+        # before there are viewers: one that is quick subscribes before the server knows a new channel
+        for channel in channels.CHANNELS:
+            self.register_channel(
+                channel.topic, "protobuf", register_schema(cast(Writer, self), channel.message)
+            )
         try:
             self._server = foxglove.start_server(
                 name="defplan",
@@ -59,9 +69,6 @@ class Server:
                 f"cannot serve on port {port}: {error}; choose another --port"
             ) from error
         self.port = self._server.port
-        self._schemas: list[Any] = []
-        self._channels: list[Any] = []
-        self._topics: dict[str, int] = {}
 
     @property
     def address(self) -> str:
@@ -80,8 +87,10 @@ class Server:
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Return the number of a schema."""
-        self._schemas.append(self._foxglove.Schema(name=name, encoding=encoding, data=data))
-        return len(self._schemas) - 1
+        schema = self._foxglove.Schema(name=name, encoding=encoding, data=data)
+        if schema not in self._schemas:
+            self._schemas.append(schema)
+        return self._schemas.index(schema)
 
     def register_channel(self, topic: str, message_encoding: str, schema_id: int) -> int:
         """Return the number of a topic, which stays the same from episode to episode."""

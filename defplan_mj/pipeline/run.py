@@ -127,7 +127,7 @@ class Run:
         anew: list[Anew] = []
         moved: set[str] = set()  # stages that may come out differently from what is there
         for stage in chain:
-            if stage.name in self._done or stage.name == "report":
+            if stage.name in self._done or not stage.guarded:
                 continue
             reason = self._reason(stage, moved)
             if reason is not None or not moved.isdisjoint(self._needs(stage)):
@@ -168,7 +168,7 @@ class Run:
         for stage in STAGES:
             if not follow.isdisjoint(stage.needs):
                 follow.add(stage.name)
-        finished = [s.name for s in STAGES if self._key(s) in self.folder.records]
+        finished = [s.name for s in STAGES if s.guarded and self._key(s) in self.folder.records]
         return [name for name in finished if name in follow - named]
 
     # ---- reading
