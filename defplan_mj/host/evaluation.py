@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from defplan_mj.planning.robot import Robot
     from defplan_mj.planning.surrogate import Surrogate
 
+ROOM = 32  # obstacles that there is room for in any case
 PARALLEL_FROM = 16  # episodes; fewer are done before a second process has started
 
 
@@ -241,7 +242,8 @@ def evaluate(
     pilot: Planner = Shield(planner, surrogate, navigation) if shield else planner
     if workers is None:
         workers = min(threads.available_cores(), 2) if len(scenes) >= PARALLEL_FROM else 1
-    run = functools.partial(_run_share, robot, navigation, pilot, recorder, context)
+    room = max([ROOM, *(len(scene.radii) for scene in scenes)])
+    run = functools.partial(_run_share, robot, navigation, room, pilot, recorder, context)
     numbered = list(enumerate(scenes))
     pieces = 1 if workers == 1 else 8 * workers
     shares = [numbered[i::pieces] for i in range(pieces) if numbered[i::pieces]]
@@ -276,13 +278,14 @@ def _as_list(run: Callable[[_Share], Iterator[Episode]], share: _Share) -> Any:
 def _run_share(
     robot: Robot,
     navigation: Navigation,
+    room: int,
     pilot: Planner,
     recorder: RecorderFactory | None,
     context: Mapping[str, Any] | None,
     share: _Share,
 ) -> Iterator[Episode]:
     """Run the episodes of some scenes, one after the other."""
-    env = _environment(robot, navigation)
+    env = _environment(robot, navigation, room)
     for index, scene in share:
         manager = recorder(index, scene) if recorder is not None else None
         if manager is None:
@@ -295,16 +298,16 @@ def _run_share(
 _environments: dict[tuple[str, ...], Environment] = {}
 
 
-def _environment(robot: Robot, navigation: Navigation) -> Environment:
-    """Return this process' environment, built once."""
-    key = (*robot.identity, repr(navigation))
+def _environment(robot: Robot, navigation: Navigation, room: int) -> Environment:
+    """Return this process' environment with room for so many obstacles, built once."""
+    key = (*robot.identity, repr(navigation), str(room))
     if key not in _environments:
         _environments.clear()
 
         def sampler(random: np.random.RandomState) -> Scene:
             raise AssertionError("an evaluation sets every scene itself")
 
-        _environments[key] = robot_environment(robot, navigation, sampler)
+        _environments[key] = robot_environment(robot, navigation, sampler, max_obstacles=room)
     return _environments[key]
 
 

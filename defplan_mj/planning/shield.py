@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from defplan_mj.planning.motion_tree import lookahead, motion_trees
+from defplan_mj.planning.motion_tree import MotionTree, lookahead, motion_trees
 from defplan_mj.planning.planner import Observation, Planner
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.tracking import Tracker
@@ -12,15 +12,6 @@ from defplan_mj.task import Navigation
 
 LEVELS = ((4, 0.3), (4, 0.05), (2, 0.0), (1, 0.0))
 """Depth (cycles) and margin (m) that are asked for, one after the other, until a gait meets them."""
-
-
-def escape_levels(deepest: int) -> tuple[tuple[int, float], ...]:
-    """Return `LEVELS` among what moves: the robot looks as far ahead as it can, and gives up time last."""
-    margins = [margin for depth, margin in LEVELS if depth == LEVELS[0][0]]
-    return (
-        *((deepest, margin) for margin in margins),
-        *((depth, 0.0) for depth in range(deepest, 0, -1)),
-    )
 
 
 class Shield:
@@ -34,7 +25,8 @@ class Shield:
     sequence and a smaller margin must do; if none is left, the gait that stays farthest from the
     points. A robot that is within the margin already may move away, or turn in its place as long as
     half the margin is left: turns slip a little, and many of them must not add up to a hit. What moves
-    is followed (`planning.tracking`), expected to go on as it does, and seen some cycles farther ahead.
+    is followed (`planning.tracking`) and expected to go on as it does; then the robot looks farther ahead, and if
+    no sequence keeps a margin, those with the most room at their narrowest count as safe.
 
     Args:
         planner: to be shielded.
@@ -89,7 +81,6 @@ class Shield:
         drift = np.zeros_like(points) if drift is None else drift
         moving = bool(drift.any())
         tree = (self.long_trees if moving else self.trees)[before]
-        levels = escape_levels(len(tree.holds)) if moving else self.levels
         # no cycle comes near those beyond reach
         reach = self.reach + sum(tree.holds) * np.linalg.norm(drift, axis=1)
         near = np.einsum("pd,pd->p", points, points) <= reach**2
@@ -97,9 +88,11 @@ class Shield:
         if not len(points):
             return np.ones(tree.gaits, bool)
         from_start, from_end, from_way = tree.distances2(points, drift)
-        touches = from_way < self.radius**2
         leaves = from_end > from_start
-        for depth, margin in levels:
+        if moving:
+            return self._roomiest(tree, from_end, from_way, leaves)
+        touches = from_way < self.radius**2
+        for depth, margin in self.levels:
             close = from_way < (self.radius + margin) ** 2
             leaving = leaves & (from_start < (self.radius + margin) ** 2)
             turning = tree.in_place & (from_way > (self.radius + margin / 2) ** 2)
@@ -109,3 +102,18 @@ class Shield:
                 return safe
         clearance = from_way[:, : tree.gaits].min(0)
         return clearance == clearance.max()
+
+    def _roomiest(
+        self, tree: MotionTree, from_end: np.ndarray, from_way: np.ndarray, leaves: np.ndarray
+    ) -> np.ndarray:
+        """Return (K,) which gaits begin a sequence that keeps the largest margin that any keeps.
+
+        The disc or ball is larger than the body: to be a little too close need not be a hit.
+        """
+        touches = from_way < self.radius**2
+        room2 = np.where(leaves & ~touches, from_end, from_way).min(0)
+        room = tree.best_room(np.sqrt(np.maximum(room2, 0)) - self.radius)
+        for _, margin in self.levels:
+            if (safe := room >= margin).any():
+                return safe
+        return room >= room.max() - 1e-6

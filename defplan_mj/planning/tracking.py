@@ -13,22 +13,24 @@ from defplan_mj.planning.sensors.sensor import sensor_of
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
 
-NOISE = 0.02  # of a point's distance from a ball's surface, m
+NOISE = 0.03  # of a point's distance from a ball's surface, m
 ODOMETRY = (0.02, 0.004)  # what a cycle's motion is off, m and rad
 RADIUS, RADIUS_SD = 1.1, 0.7  # of an obstacle before it is measured, m
 CENTRE_SD = 0.8  # of its centre, then, m
-SPEED_SD = 1.5  # of its velocity along an axis before it is measured, m/s
+SPEED_SD = 1.0  # of its velocity along an axis before it is measured, m/s
 KNOWN = (
     0.2  # a velocity that is known better than this lets a ball take points for its own, m a cycle
 )
 STEADY = 0.01  # change of an obstacle's velocity between scans, m a cycle
-GATE = 0.1  # a point belongs to a ball whose surface is this near, beside what is uncertain, m
+GATE = 0.05  # a point belongs to a ball whose surface is this near, beside what is uncertain, m
+SEED = 4  # points next to each other that a new ball is begun with
 LINK = 2.5  # beams: points closer together than these belong together
-ROUNDS = 3  # of looking for balls among the points that belong to none
-FIT = 16.0  # largest squared distance of a new ball from one that was seen, in deviations
+ROUNDS = 4  # of looking for balls among the points that belong to none
+FIT = 25.0  # largest squared distance of a new ball from one that was seen, in deviations
 FORGET = 8  # cycles after which an obstacle that is out of sight is forgotten
 SURE = 3.0  # standard deviations: a velocity smaller than these is none
-ITERATIONS = 4
+LOOKS = 2  # at as many points as make a ball, or more, before its velocity counts
+ITERATIONS = 3
 
 
 class Seen(NamedTuple):
@@ -87,7 +89,7 @@ class Tracker:
         """Forget all."""
         size = 2 * self.d + 1
         self.mean, self.covariance = np.zeros((0, size)), np.zeros((0, size, size))
-        self.unseen = np.zeros(0, int)
+        self.unseen, self.looks = np.zeros(0, int), np.zeros(0, int)
         self._loose = np.zeros((0, self.d))  # points that belong to no ball
         self.odometry.reset()
 
@@ -105,12 +107,14 @@ class Tracker:
         points, every = ends[there], np.zeros_like(ends)
         owner = self._follow(points)
         owner = self._find(points, owner)
+        count = np.bincount(owner[owner >= 0], minlength=len(self.mean))
+        self.looks += count >= self.d
         velocities = np.concatenate([self._velocities(), np.zeros((1, self.d))])
         every[there] = drift = velocities[owner]  # the last one is that of no ball
         self._loose = points[owner < 0]
         kept = self.unseen <= FORGET
         self.mean, self.covariance = self.mean[kept], self.covariance[kept]
-        self.unseen = self.unseen[kept]
+        self.unseen, self.looks = self.unseen[kept], self.looks[kept]
         return Seen(points, drift, every)
 
     def balls(self) -> Balls:
@@ -127,7 +131,8 @@ class Tracker:
         share = np.einsum(
             "ti,ti->t", velocity, np.linalg.solve(spread, velocity[..., None])[..., 0]
         )
-        return np.where((share > SURE**2)[:, None], velocity, 0.0)
+        certain = (share > SURE**2) & (self.looks >= LOOKS)
+        return np.where(certain[:, None], velocity, 0.0)
 
     def _predict(self, shift: np.ndarray, turn: np.ndarray) -> None:
         d = self.d
@@ -165,11 +170,11 @@ class Tracker:
 
     def _find(self, points: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """Fit new balls to points that belong to none, and tell which were seen before; return the owners."""
-        for _ in range(ROUNDS):
+        for attempt in range(ROUNDS):
             free = np.flatnonzero(owner < 0)
             if not len(free):
                 break
-            mean, covariance, label = self._new(points[free])
+            mean, covariance, label = self._new(points[free], attempt / ROUNDS)
             found = np.unique(label[label >= 0])
             mean, covariance = mean[found], covariance[found]
             number = self._known_as(mean, covariance)
@@ -178,22 +183,34 @@ class Tracker:
                 owner[free[label == index]] = number[ball]
         return owner
 
-    def _new(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return a ball for each cluster of points: means, covariances and the points' owners, -1: none."""
+    def _new(self, points: np.ndarray, rank: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return a ball in each cluster of points: means, covariances and the points' owners, -1: none.
+
+        A cluster can be of several balls that touch. So one is fitted to a point and those next to it,
+        and then to all of the cluster that are on it.
+
+        Args:
+            rank: of that point in the order of distances, as a share.
+        """
         d = self.d
         distance = np.linalg.norm(points, axis=1)
         near = self.link * np.minimum(distance[:, None], distance) + 0.1
         apart = np.linalg.norm(points[:, None] - points, axis=2)
         count, label = connected_components(apart < near, directed=False)
-        mean = np.zeros((count, 2 * d + 1))
+        mean, seed = np.zeros((count, 2 * d + 1)), np.full(len(points), -1)
         mean[:, d] = RADIUS
         for cluster in range(count):
             mine = np.flatnonzero(label == cluster)
-            ahead = mine[distance[mine].argmin()]
-            mean[cluster, :d] = points[ahead] * (1 + RADIUS / max(float(distance[ahead]), 1e-9))
+            first = mine[np.argsort(distance[mine])[int(rank * len(mine))]]
+            seed[mine[np.argsort(apart[first, mine])[:SEED]]] = cluster
+            mean[cluster, :d] = points[first] * (1 + RADIUS / max(float(distance[first]), 1e-9))
         deviations = [CENTRE_SD] * d + [RADIUS_SD] + [self.speed_sd] * d
         covariance = np.repeat(np.diag(np.square(deviations))[None], count, 0)
-        return _fitted(mean, covariance, points, label)
+        begun, _, seed = _fitted(mean, covariance, points, seed)
+        gap, _ = _rows(begun, points)
+        on_it = np.abs(gap[label, np.arange(len(points))]) < GATE
+        sound = np.isin(label, np.unique(seed[seed >= 0]))
+        return _fitted(mean, covariance, points, np.where(on_it & sound, label, -1), begun)
 
     def _known_as(self, mean: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Take new balls for ones that were seen before, or else begin them; return their numbers."""
@@ -215,6 +232,7 @@ class Tracker:
         self.mean = np.concatenate([self.mean, mean[new]])
         self.covariance = np.concatenate([self.covariance, covariance[new]])
         self.unseen = np.concatenate([self.unseen, np.zeros(len(new), int)])
+        self.looks = np.concatenate([self.looks, np.zeros(len(new), int)])
         return number
 
     def _take(self, ball: int, seen: np.ndarray, spread: np.ndarray) -> None:
@@ -238,16 +256,22 @@ def _rows(mean: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _fitted(
-    mean: np.ndarray, covariance: np.ndarray, points: np.ndarray, owner: np.ndarray
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    points: np.ndarray,
+    owner: np.ndarray,
+    start: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return balls corrected by the points they own, and the owners again, -1 for points that do not fit.
 
-    Gauss-Newton on the points' distances and the prior, with Cauchy's weights: few outliers do not count.
+    Gauss-Newton from `start` on the points' distances and the prior, with Cauchy's weights: few outliers do
+    not count.
     """
     d = points.shape[1]
     part = d + 1  # a point says nothing of a velocity
     own = owner == np.arange(len(mean))[:, None]
     prior, information = mean, np.linalg.inv(covariance)
+    mean = mean if start is None else start
     told = information
     for _ in range(ITERATIONS):
         gap, gradient = _rows(mean, points)
