@@ -14,7 +14,7 @@ from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
 
 NOISE = 0.03  # of a point's distance from a ball's surface, m
-ODOMETRY = (0.02, 0.004)  # what a cycle's motion is off, m and rad
+ODOMETRY = 0.01  # what a cycle's motion is off beside the surrogate's scatter, m
 RADIUS, RADIUS_SD = 1.1, 0.7  # of an obstacle before it is measured, m
 CENTRE_SD = 0.8  # of its centre, then, m
 SPEED_SD = 1.0  # of its velocity along an axis before it is measured, m/s
@@ -29,7 +29,7 @@ ROUNDS = 4  # of looking for balls among the points that belong to none
 FIT = 25.0  # largest squared distance of a new ball from one that was seen, in deviations
 FORGET = 8  # cycles after which an obstacle that is out of sight is forgotten
 SURE = 3.0  # standard deviations: a velocity smaller than these is none
-LOOKS = 2  # at as many points as make a ball, or more, before its velocity counts
+LOOKS = {2: 1, 3: 2}  # at as many points as dimensions, or more, before a ball's velocity counts
 ITERATIONS = 3
 
 
@@ -81,6 +81,8 @@ class Tracker:
         self.navigation, self.d = navigation, navigation.dimension
         self.odometry = Odometry(surrogate, navigation)
         self.speed_sd = SPEED_SD * surrogate.cycle_seconds
+        turn, way = surrogate.scatter()
+        self.way_sd, self.turn_sd = ODOMETRY + float(way.mean()), float(turn.mean())
         apart = 2 * np.pi if self.d == 2 else np.sqrt(4 * np.pi * navigation.beams)
         self.link = LINK * apart / navigation.beams  # rad
         self.reset()
@@ -131,7 +133,7 @@ class Tracker:
         share = np.einsum(
             "ti,ti->t", velocity, np.linalg.solve(spread, velocity[..., None])[..., 0]
         )
-        certain = (share > SURE**2) & (self.looks >= LOOKS)
+        certain = (share > SURE**2) & (self.looks >= LOOKS[self.d])
         return np.where(certain[:, None], velocity, 0.0)
 
     def _predict(self, shift: np.ndarray, turn: np.ndarray) -> None:
@@ -145,7 +147,7 @@ class Tracker:
         self.covariance = step @ self.covariance @ step.T
         away2 = np.einsum("ti,ti->t", self.mean[:, :d], self.mean[:, :d])
         own = np.arange(d)
-        self.covariance[:, own, own] += (ODOMETRY[0] ** 2 + ODOMETRY[1] ** 2 * away2)[:, None]
+        self.covariance[:, own, own] += (self.way_sd**2 + self.turn_sd**2 * away2)[:, None]
         self.covariance[:, d + 1 + own, d + 1 + own] += STEADY**2
         self.unseen += 1
 

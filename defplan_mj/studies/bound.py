@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from defplan_mj import registry
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.host.evaluation import evaluate
 from defplan_mj.planning.outcome import ENDINGS, PLACES
@@ -16,9 +17,6 @@ from defplan_mj.planning.robot import Robot
 from defplan_mj.planning.scenes import Scene, k2_scenes, novel_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
-
-BOUND = "oracle"
-"""Name of the planner that knows everything."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +38,18 @@ class Setting:
         if self.scenes == "novel":
             return novel_scenes(navigation, n, seed, obstacle_speed=self.speed)
         return place_scenes(self.scenes, navigation, n, seed, radius)
+
+
+def bound_solver() -> Any:
+    """Return the planner plugin that says of itself that it is the bound (`bound = True`).
+
+    Raises:
+        DefplanError: none is installed.
+    """
+    for entry in registry.solvers():
+        if getattr(entry.value, "bound", False):
+            return entry.value
+    raise DefplanError("no planner is installed that is a bound: reinstall defplan")
 
 
 def settings(scenes: Sequence[str], speeds: Sequence[float]) -> list[Setting]:
@@ -66,16 +76,17 @@ def judge(
     'scenes', 'speed', 'planner', 'episodes', the share of each ending, 'interval' of the successes (95%,
     Wilson), 'of_bound': successes in units of the bound's (None: the bound has none), 'decision_ms'.
     """
-    bound = registry.get_solver(BOUND, "planner").train(surrogate, navigation, seed).planner
+    solver = bound_solver()
+    bound = solver.train(surrogate, navigation, seed).planner
     rows: list[dict[str, Any]] = []
     total = len(where) * (len(planners) + 1)
     for setting in where:
         scenes, reached = setting.draw(navigation, episodes, seed, surrogate.radius), 0.0
-        for name, planner in {BOUND: bound, **planners}.items():
+        for name, planner in {solver.name: bound, **planners}.items():
             result = evaluate(
-                robot, surrogate, navigation, planner, scenes, shield=name != BOUND
+                robot, surrogate, navigation, planner, scenes, shield=name != solver.name
             ).to_json()
-            reached = result["success"] if name == BOUND else reached
+            reached = result["success"] if name == solver.name else reached
             rows.append(
                 {
                     "scenes": setting.scenes,

@@ -50,4 +50,5 @@ SOLVER = UntrainedSolver(
     "oracle",
     "A* in place and time that is told all obstacles and their velocities: a bound, no planner",
     OraclePlanner,
+    bound=True,
 )
