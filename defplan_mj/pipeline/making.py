@@ -247,7 +247,7 @@ def _surrogate_inputs(run: Run) -> dict[str, Any]:
     from defplan_mj.planning.surrogate import FORMAT_VERSION
 
     options = run.plan.options
-    return {"format": FORMAT_VERSION, "options": {"pairs": options.pairs, "seed": options.seed}}
+    return {"the file format": FORMAT_VERSION, "options": {"pairs": options.pairs, "seed": options.seed}}
 
 
 SURROGATE = Stage(
