@@ -247,7 +247,10 @@ def _surrogate_inputs(run: Run) -> dict[str, Any]:
     from defplan_mj.planning.surrogate import FORMAT_VERSION
 
     options = run.plan.options
-    return {"the file format": FORMAT_VERSION, "options": {"pairs": options.pairs, "seed": options.seed}}
+    return {
+        "the file format": FORMAT_VERSION,
+        "options": {"pairs": options.pairs, "seed": options.seed},
+    }
 
 
 SURROGATE = Stage(
