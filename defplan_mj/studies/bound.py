@@ -46,7 +46,7 @@ def bound_solver() -> Any:
     Raises:
         DefplanError: none is installed.
     """
-    for entry in registry.solvers():
+    for entry in registry.solvers("planner"):
         if getattr(entry.value, "bound", False):
             return entry.value
     raise DefplanError("no planner is installed that is a bound: reinstall defplan")
