@@ -30,6 +30,8 @@ FIT = 25.0  # largest squared distance of a new ball from one that was seen, in 
 FORGET = 8  # cycles after which an obstacle that is out of sight is forgotten
 SURE = 3.0  # standard deviations: a velocity smaller than these is none
 LOOKS = {2: 1, 3: 2}  # at as many points as dimensions, or more, before a ball's velocity counts
+STANDS, SHARE = 0.12, 0.7
+"""A ball stands if this share of its points are this near to what the scan before saw, m: a wall does."""
 ITERATIONS = 3
 
 
@@ -92,7 +94,8 @@ class Tracker:
         size = 2 * self.d + 1
         self.mean, self.covariance = np.zeros((0, size)), np.zeros((0, size, size))
         self.unseen, self.looks = np.zeros(0, int), np.zeros(0, int)
-        self._loose = np.zeros((0, self.d))  # points that belong to no ball
+        self.still = np.zeros(0, bool)
+        self._loose = self._last = np.zeros((0, self.d))  # points: of no ball; of the scan before
         self.odometry.reset()
 
     def chose(self, gait: int) -> None:
@@ -103,6 +106,7 @@ class Tracker:
         """Take a sensor's reading (size,) and the target (d,), m; return what is seen, and how it moves."""
         if (motion := self.odometry.moved(target)) is not None:
             self._predict(*motion)
+            self._last = (self._last - motion[0]) @ motion[1]
         ends, there = sensor_of(self.navigation).points(
             np.asarray(readings, float), self.navigation
         )
@@ -111,12 +115,17 @@ class Tracker:
         owner = self._find(points, owner)
         count = np.bincount(owner[owner >= 0], minlength=len(self.mean))
         self.looks += count >= self.d
+        here = np.bincount(owner[owner >= 0], _stay(points, self._last)[owner >= 0], len(self.mean))
+        self.still = np.where(count > 0, here >= SHARE * count, self.still)
+        self._last = points
         velocities = np.concatenate([self._velocities(), np.zeros((1, self.d))])
         every[there] = drift = velocities[owner]  # the last one is that of no ball
         self._loose = points[owner < 0]
         kept = self.unseen <= FORGET
         self.mean, self.covariance = self.mean[kept], self.covariance[kept]
-        self.unseen, self.looks = self.unseen[kept], self.looks[kept]
+        self.unseen, self.looks, self.still = (
+            part[kept] for part in (self.unseen, self.looks, self.still)
+        )
         return Seen(points, drift, every)
 
     def balls(self) -> Balls:
@@ -133,7 +142,7 @@ class Tracker:
         share = np.einsum(
             "ti,ti->t", velocity, np.linalg.solve(spread, velocity[..., None])[..., 0]
         )
-        certain = (share > SURE**2) & (self.looks >= LOOKS[self.d])
+        certain = (share > SURE**2) & (self.looks >= LOOKS[self.d]) & ~self.still
         return np.where(certain[:, None], velocity, 0.0)
 
     def _predict(self, shift: np.ndarray, turn: np.ndarray) -> None:
@@ -235,6 +244,7 @@ class Tracker:
         self.covariance = np.concatenate([self.covariance, covariance[new]])
         self.unseen = np.concatenate([self.unseen, np.zeros(len(new), int)])
         self.looks = np.concatenate([self.looks, np.zeros(len(new), int)])
+        self.still = np.concatenate([self.still, np.zeros(len(new), bool)])
         return number
 
     def _take(self, ball: int, seen: np.ndarray, spread: np.ndarray) -> None:
@@ -245,6 +255,19 @@ class Tracker:
         self.mean[ball] += gain @ (seen - self.mean[ball, :part])
         self.covariance[ball] = before - gain @ before[:part]
         self.unseen[ball] = 0
+
+
+def _stay(points: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return which points (p, d) are where a scan before (q, d) saw something: between its two nearest points."""
+    if len(before) < 2:
+        return np.zeros(len(points), bool)
+    offset = before - points[:, None]
+    nearest = np.argsort(np.einsum("pqd,pqd->pq", offset, offset), axis=1)[:, :2]
+    one, two = (offset[np.arange(len(points)), nearest[:, i]] for i in range(2))
+    edge = two - one
+    share = -np.einsum("pd,pd->p", one, edge) / np.maximum(np.einsum("pd,pd->p", edge, edge), 1e-12)
+    gap = one + np.clip(share, 0, 1)[:, None] * edge
+    return np.einsum("pd,pd->p", gap, gap) < STANDS**2
 
 
 def _rows(mean: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -89,3 +89,13 @@ def test_a_ball_out_of_sight_is_remembered_a_while_and_a_reset_forgets_it():
     assert len(tracker.balls().radii) == 0 or tracker.unseen[0] <= 8
     tracker.reset()
     assert len(tracker.balls().radii) == 0
+
+
+def test_most_of_a_wall_of_posts_along_which_the_robot_swims_stands_still():
+    posts = [(x, y, 0.4) for x in np.arange(-6, 14, 0.75) for y in (-1.9, 1.9)]
+    batch = samples.batch(samples.scene(posts, target=(20.0, 0.0)))
+    told, _, _ = follow(samples.surrogate(scatter=0.005), NAVIGATION, batch, [0] * 10, noise=1.0)
+    speeds = np.concatenate([np.linalg.norm(row[0].drift, axis=1) for row in told])
+    assert (
+        len(speeds) > 400 and np.mean(speeds > 0.1) < 0.15
+    )  # 0.39 if each post is a ball of its own
