@@ -8,7 +8,7 @@ SOURCES := requirements.lock pyproject.toml setup.py \
 	$(wildcard defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch])
 LINTED := defplan_mj tasks solvers tests
 
-.PHONY: help setup demo test test-full sanitize sanitize-fast bench lint clean
+.PHONY: help setup demo test test-full sanitize sanitize-fast bench soak hashes lint docs clean
 
 help:
 	@echo "make demo       build the fish from its mesh, train it, log and report it"
@@ -16,7 +16,10 @@ help:
 	@echo "make test-full  all tests"
 	@echo "make sanitize   the tests of the C code, built with address and undefined-behaviour sanitizers"
 	@echo "make bench      time what the README's tables state"
+	@echo "make soak       a million steps of each robot, 10,000 bad inputs, 100 stops: at most 30 minutes"
+	@echo "                (make soak SOAK=--short tries it in 5)"
 	@echo "make lint       ruff, mypy, which package may import which, lines of C within 100 columns"
+	@echo "make docs       the documentation as a site in build/site; a broken link is an error"
 	@echo "make clean      remove what was built (not .venv, not logs)"
 
 setup: $(READY)
@@ -51,6 +54,14 @@ sanitize sanitize-fast: $(READY)
 bench: $(READY)
 	$(VENV)/bin/defplan bench
 
+# After a change of requirements.lock; it asks the package index and takes some minutes.
+hashes: | $(PYTHON)
+	$(PYTHON) .ci/hashes.py
+
+# Its result is kept in docs/reliability.md.
+soak: $(READY)
+	$(PYTHON) -m tests.soak $(SOAK)
+
 lint: $(READY)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
@@ -59,19 +70,25 @@ lint: $(READY)
 	@awk 'length > 100 { print FILENAME ":" FNR ": more than 100 columns"; long = 1 } \
 	  END { exit long }' defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch]
 
+docs: $(READY)
+	$(PYTHON) -c 'import mkdocs, material, mkdocstrings' 2>/dev/null || \
+	  $(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements-extras.lock
+	$(PYTHON) -m mkdocs build --strict
+
 # The libraries are built first and by themselves, so that a missing compiler is one sentence.
 $(READY): $(SOURCES) | $(PYTHON)
+	@echo "installing requirements.lock (about 80 packages) and building two C libraries: some minutes"
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements.lock
 	$(PYTHON) setup.py -q build_ext --inplace
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
 	@touch $@
 
 $(PYTHON):
-	@found=; for p in python3.11 python3.12 python3.13 python3 python; do \
-	  if $$p -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; \
+	@found=; for p in python3.11 python3.12 python3 python; do \
+	  if $$p -c 'import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info < (3, 13))' 2>/dev/null; \
 	  then found=$$p; break; fi; done; \
 	if [ -z "$$found" ]; then \
-	  echo "defplan needs Python 3.11 or newer with its venv module; none was found on PATH" >&2; \
+	  echo "defplan needs Python 3.11 or 3.12 with its venv module; none was found on PATH" >&2; \
 	  exit 1; fi; \
 	echo "making $(VENV) with $$($$found --version)"; $$found -m venv $(VENV)
 

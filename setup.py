@@ -142,6 +142,14 @@ class BuildLibraries(build_ext):
         recipe = hashlib.sha256((machine + shlex.join(command)).encode())
         for source in [*library.sources, *library.headers]:
             recipe.update(source.read_bytes())
+        # no path of this machine counts: the same sources have the same name
+        content = hashlib.sha256(shlex.join([*FLAGS, *march(), *checks()]).encode())
+        for source in [*library.sources, *library.headers]:
+            content.update(source.read_bytes())
+        told = (
+            f"{''.join(march()).removeprefix('-march=') or 'generic'}, {content.hexdigest()[:12]}"
+        )
+        command.insert(len(compiler), f'-DDP_BUILD="{told}"')
         stamp = output.with_suffix(".built")
         # a wheel, which is made of build_lib, has none
         stamped = output == library.path or "-fsanitize" in shlex.join(command)
@@ -189,7 +197,9 @@ PLUGINS = {"tasks": "defplan_tasks", "solvers": "defplan_solvers"}
 setup(
     packages=packages(),
     package_dir={name: folder for folder, name in PLUGINS.items()},
-    package_data={"": ["*.c", "*.h", "*.html", "*.xml", "assets/*", "templates/*"]},
+    package_data={
+        "": ["*.c", "*.h", "*.html", "*.xml", "assets/*", "templates/*", "*-layout.json"]
+    },
     include_package_data=False,
     # The sources are listed in `libraries`; the entry makes setuptools run build_ext.
     ext_modules=[Extension("defplan_mj.kernel.libdefplan_kernel", sources=[])],

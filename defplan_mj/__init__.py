@@ -2,11 +2,13 @@
 
 import warnings
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # dm_control tries GLFW on import, even where nothing will be drawn; without a screen it says so.
 warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing")
 
-from defplan_mj.rl.register import register_with_gymnasium  # noqa: E402  after the filter
+from defplan_mj.host.on_import import load_plugin_with_mujoco  # noqa: E402  after the filter
+from defplan_mj.rl.register import register_with_gymnasium  # noqa: E402
 
+load_plugin_with_mujoco()  # it is not imported for that, either
 register_with_gymnasium()  # ids for gymnasium.make; it is not imported for that

@@ -1,4 +1,4 @@
-"""What is installed: tasks, solvers and suite domains, found by entry points, named in errors.
+"""What is installed: tasks, solvers, sensors, suite domains and studies, found by entry points, named in errors.
 
 A package adds its own by declaring an entry point in one of these groups; docs/plugins.md shows how.
 A plugin that cannot be loaded is reported by its name when it is asked for; the others go on working.
@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any
 
 from defplan_mj.base.errors import DefplanError
@@ -20,6 +21,7 @@ TASKS = "defplan_mj.tasks"
 SOLVERS = "defplan_mj.solvers"
 DOMAINS = "defplan_mj.domains"
 SENSORS = "defplan_mj.sensors"
+STUDIES = "defplan_mj.studies"
 CHOICES = {"gait_solver": "gait", "planner": "planner", "feedback": "feedback"}
 """What of a task names a solver, and of which kind."""
 KINDS = tuple(CHOICES.values())
@@ -45,6 +47,11 @@ class Entry:
 def names(group: str) -> list[str]:
     """Return the names registered in `group`, sorted; loads nothing."""
     return sorted(_points(group))
+
+
+def modules(group: str) -> dict[str, str]:
+    """Return the module of each name registered in `group`; loads nothing."""
+    return {name: point.module for name, point in _points(group).items()}
 
 
 def tasks() -> list[Entry]:
@@ -102,6 +109,16 @@ def get_sensor(name: str) -> Any:
     return _get(SENSORS, "sensor", name)
 
 
+def studies() -> list[Entry]:
+    """Return all study files (paths), sorted by name."""
+    return _entries(STUDIES)
+
+
+def get_study(name: str) -> Path:
+    """Return the study file called `name`, e.g. 'paper'; raises as `get_task`."""
+    return _get(STUDIES, "study", name)
+
+
 def get_solver(name: str, kind: str) -> Any:
     """Return the solver called `name`, which must be of `kind`; raises as `get_task`."""
     label = "planner" if kind == "planner" else f"{kind} solver"
@@ -152,6 +169,8 @@ def _check(group: str, value: Any) -> None:
         raise TypeError(f"expected a TaskSpec, got {type(value).__name__}")
     if group == SENSORS and not hasattr(value, "measure"):
         raise TypeError("it has no method `measure`")
+    if group == STUDIES and not isinstance(value, Path):
+        raise TypeError(f"expected the path of a study file, got {type(value).__name__}")
     if group == SOLVERS and getattr(value, "kind", None) not in KINDS:
         raise TypeError(f"its `kind` must be one of {', '.join(KINDS)}")
 

@@ -47,7 +47,18 @@ def load_policy(
         raise DefplanError(
             f"{path} holds a policy of {meta.get('planner')}, not of {planner}: train it anew"
         )
-    gaits = tuple(meta.get("task_names", task_names))
+    for name, array in arrays.items():
+        if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+            raise DefplanError(
+                f"{path} is no policy that can be used: its {name} has what is no finite number;"
+                " train it anew"
+            )
+    names = meta.get("task_names", task_names)
+    if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
+        raise DefplanError(
+            f"{path} is no policy that can be used: its task_names are no names; train it anew"
+        )
+    gaits = tuple(names)
     if gaits != task_names:
         raise DefplanError(
             f"{path} was trained for the gaits {', '.join(gaits)}, not for"

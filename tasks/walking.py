@@ -82,6 +82,8 @@ def walk_spec(
         paper={
             "dof": 16,
             "k2": 10,
+            "n2_cycles": 400,
+            "steps_per_cycle": 23,
             "k2_success": 1.0,
             "tasks": ("forward", "back", "left", "right"),
             "vertices": vertices,

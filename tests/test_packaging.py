@@ -70,6 +70,26 @@ def test_the_lock_names_versions_only():
         assert line.startswith("#") or re.fullmatch(r"[A-Za-z0-9._-]+==[0-9][0-9a-z.]*", line), line
 
 
+def test_the_hashed_lock_is_the_lock_without_torch():
+    text = (ROOT / "requirements.hashes").read_text().replace("\\\n", " ")
+    hashed = [line.split() for line in text.splitlines() if not line.startswith("#")]
+    lines = (ROOT / "requirements.lock").read_text().splitlines()
+    wanted = [n for n in lines if not n.startswith(("#", "torch=="))]
+    assert [line[0] for line in hashed] == wanted, "run `make hashes`"
+    for name, *hashes in hashed:
+        assert hashes, name
+        for one in hashes:
+            assert re.fullmatch("--hash=sha256:[0-9a-f]{64}", one), name
+
+
+def test_the_python_versions_are_the_same_everywhere():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["requires-python"] == ">=3.11,<3.13"
+    made = (ROOT / "Makefile").read_text()
+    assert "(3, 11) <= sys.version_info < (3, 13)" in made and "python3.13" not in made
+    assert "Python 3.11 or 3.12" in (ROOT / "README.md").read_text()
+
+
 def test_without_a_compiler_there_is_one_sentence(tree):
     done = build(tree, CC="no-such-compiler")
     assert done.returncode != 0

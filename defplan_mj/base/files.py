@@ -8,20 +8,31 @@ import hashlib
 import json
 import math
 import os
+import shutil
+import struct
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.reading import Packed, first_line, parse_json
+
+Source = str | Path | Packed
+"""What an archive is read from."""
 
 _HEADER = "header.json"
-MOST_BYTES = (
-    4 << 30
-)  # of an archive's arrays: a million vertices with all the basis the kernel takes
+# Of an archive's arrays: a million vertices with all the basis that the kernel takes.
+MOST_BYTES = 4 << 30
+# Numbers of a mesh hardly shrink; what unpacks to far more than its file was made to.
+SMALL_BYTES, MOST_GROWTH = 128 << 20, 4
+MOST_ARRAYS = 1000
+_MOST_DIRECTORY, _DIRECTORY_END = 1 << 20, 22
+_NUMBERS, _TEXTS = "biufc", "SU"
 
 
 @contextlib.contextmanager
@@ -76,6 +87,12 @@ def write_bytes(path: str | Path, data: bytes) -> None:
         temporary.write_bytes(data)
 
 
+def copy_file(source: str | Path, path: str | Path) -> None:
+    """Copy a file's bytes to `path` atomically."""
+    with atomic_path(path) as temporary:
+        shutil.copyfile(source, temporary)
+
+
 def plain(value: Any) -> Any:
     """Return what JSON can hold for a NumPy scalar, an array, a path or a dataclass (json's `default`).
 
@@ -112,7 +129,9 @@ def _content_hash(arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> 
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
         digest.update(f"{name}{array.dtype.str}{array.shape}".encode())
-        digest.update(array.tobytes())
+        # a copy of its bytes would double the memory
+        if array.itemsize:
+            digest.update(array.reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 
@@ -135,37 +154,89 @@ def save_archive(
     return digest
 
 
+WRONG_FIELDS = (
+    TypeError,
+    LookupError,
+    AttributeError,
+    ValueError,
+    ArithmeticError,
+    RecursionError,
+    AssertionError,
+)
+"""What Python and NumPy raise where content is not what it should be."""
+
+
 @contextlib.contextmanager
-def fields_of(path: str | Path, kind: str) -> Iterator[None]:
+def fields_of(path: Source, kind: str) -> Iterator[None]:
     """Say in one sentence that the content of an archive lacks fields, or has others, than its kind."""
     try:
         yield
-    except (TypeError, KeyError, AttributeError, ValueError) as error:
+    except WRONG_FIELDS as error:
         raise DefplanError(
-            f"{path} has not the fields of a {kind} ({str(error).splitlines()[0]}): make it anew"
+            f"{path} has not the fields of a {kind} ({first_line(error)}): make it anew"
         ) from error
 
 
-def _check_sizes(source: Path) -> None:
-    """Raise ValueError if an array says it is larger than its bytes, or all are too large to load."""
-    with zipfile.ZipFile(source) as archive:
-        if sum(item.file_size for item in archive.infolist()) > MOST_BYTES:
-            raise ValueError("too large")
-        for item in archive.infolist():
+class _Refused(ValueError):
+    """An archive that is whole, but asks for more than it can need."""
+
+
+def _opened(source: Path | Packed) -> Path | BytesIO:
+    """Return what zipfile and NumPy read an archive from."""
+    return BytesIO(source.data) if isinstance(source, Packed) else source
+
+
+def _check_sizes(source: Path | Packed) -> None:
+    """Raise _Refused if an archive has too much in it, or an array says it is larger than its bytes."""
+    size = len(source.data) if isinstance(source, Packed) else source.stat().st_size
+    _check_directory(source, size)
+    with zipfile.ZipFile(_opened(source)) as archive:
+        items = archive.infolist()
+        if len(items) > MOST_ARRAYS:
+            raise _Refused("it has too many arrays")
+        if sum(item.file_size for item in items) > min(
+            MOST_BYTES, SMALL_BYTES + MOST_GROWTH * size
+        ):
+            raise _Refused("it unpacks to far more than its size")
+        for item in items:
+            # other methods ask for as much memory as the file says
+            if item.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise _Refused("its compression is unknown")
             with archive.open(item) as stream:
-                version = np.lib.format.read_magic(stream)
-                reader = (
-                    np.lib.format.read_array_header_1_0
-                    if version == (1, 0)
-                    else np.lib.format.read_array_header_2_0
-                )
-                shape, _, kind = reader(stream)
-            if kind.hasobject or math.prod(shape) * kind.itemsize > item.file_size:
-                raise ValueError("an array is larger than its bytes")
+                _check_array(stream, item.file_size)
+
+
+def _check_directory(source: Path | Packed, size: int) -> None:
+    """Raise _Refused if an archive's own list of entries is large: zipfile reads all of it."""
+    if isinstance(source, Packed):
+        end = source.data[-_DIRECTORY_END:]
+    else:
+        with open(source, "rb") as stream:
+            stream.seek(max(size - _DIRECTORY_END, 0))
+            end = stream.read(_DIRECTORY_END)
+    if len(end) < _DIRECTORY_END or end[:4] != b"PK\5\6":
+        raise ValueError("no archive, or one with a comment")
+    if struct.unpack_from("<I", end, 12)[0] > _MOST_DIRECTORY:
+        raise _Refused("it has too many arrays")
+
+
+def _check_array(stream: IO[bytes], size: int) -> None:
+    """Raise _Refused if an array is none of numbers or letters, or claims more than `size` bytes."""
+    version = np.lib.format.read_magic(stream)
+    reader = (
+        np.lib.format.read_array_header_1_0
+        if version == (1, 0)
+        else np.lib.format.read_array_header_2_0
+    )
+    shape, _, kind = reader(stream)
+    if kind.kind not in _NUMBERS and not (kind.kind in _TEXTS and kind.itemsize):
+        raise _Refused("an array in it has neither numbers nor letters")
+    if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize > size:
+        raise _Refused("an array in it says that it is larger than its bytes")
 
 
 def load_archive(
-    path: str | Path, kind: str, version: int, remake: str = "make it anew"
+    path: Source, kind: str, version: int, remake: str = "make it anew"
 ) -> tuple[dict[str, np.ndarray], dict[str, Any], str]:
     """Read an archive of `save_archive`: arrays, meta, hash. Nothing is unpickled.
 
@@ -175,19 +246,16 @@ def load_archive(
     Raises:
         DefplanError: the file is missing, cut short, of another kind or version, or altered.
     """
-    source = Path(path)
-    if not source.is_file():
+    source = path if isinstance(path, Packed) else Path(path)
+    if isinstance(source, Path) and not source.is_file():
         raise DefplanError(f"{kind} file {source} does not exist")
     try:
-        _check_sizes(source)  # before memory is taken for what a damaged header asks for
-        with np.load(source, allow_pickle=False) as archive:
-            contents = {name: archive[name] for name in archive.files}
-        header = json.loads(contents.pop(_HEADER).tobytes())
-        if not isinstance(header, dict) or not isinstance(header["meta"], dict):
-            raise ValueError("no header")
+        contents, header = archive_contents(source)
         digest = header["hash"]
     except PermissionError as error:
         raise DefplanError(f"cannot read {source}: {error.strerror}") from error
+    except _Refused as error:
+        raise DefplanError(f"{source} is not a whole {kind} file: {error}") from error
     except Exception as error:  # a damaged archive makes zipfile and NumPy raise a dozen kinds
         raise DefplanError(f"{source} is not a whole {kind} file (cut short or damaged)") from error
     if header.get("kind") != kind:
@@ -205,6 +273,16 @@ def load_archive(
     return contents, meta, digest
 
 
+def archive_contents(source: Path | Packed) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Return arrays and header of an archive, unjudged; raises many kinds of error."""
+    _check_sizes(source)  # before memory is taken for what a damaged header asks for
+    with np.load(_opened(source), allow_pickle=False) as archive:
+        header = parse_json(archive[_HEADER].tobytes())
+        if not isinstance(header, dict) or not isinstance(header["meta"], dict):
+            raise ValueError("no header")
+        return {name: archive[name] for name in archive.files if name != _HEADER}, header
+
+
 def archive_hash(path: str | Path) -> str:
     """Return the content hash that an archive of `save_archive` says it has; '' if it is none."""
     return str(_header(path).get("hash", ""))
@@ -218,8 +296,15 @@ def archive_meta(path: str | Path) -> dict[str, Any]:
 
 def _header(path: str | Path) -> dict[str, Any]:
     try:
+        _check_sizes(Path(path))
         with np.load(path, allow_pickle=False) as archive:
-            header = json.loads(archive[_HEADER].tobytes())
+            header = parse_json(archive[_HEADER].tobytes())
     except Exception:  # of another kind, or damaged: np.load raises a dozen kinds
         return {}
     return header if isinstance(header, dict) else {}
+
+
+def file_hash(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes (64 hex digits)."""
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -50,6 +50,22 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
+_most_processes = 2
+
+
+def limit_processes(n: int) -> None:
+    """Let parallel work of this process use `n` processes from now on, where it would take two."""
+    global _most_processes
+    if n < 1:
+        raise ValueError(f"the number of processes must be at least 1, not {n}")
+    _most_processes = n
+
+
+def available_processes() -> int:
+    """Return how many processes parallel work may use: the cores, at most as many as it is limited to."""
+    return min(available_cores(), _most_processes)
+
+
 _abandoned: list[
     threading.Event
 ] = []  # not the threads: a `join` that is interrupted calls them dead

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.convergence import stiffness_correction
@@ -115,9 +116,24 @@ def build_with_account(
     """
     options = options or BodyOptions()
     check_options(options)
+    path = Path(mesh_path)
+    key = (options, path, name, measured, files.file_hash(path) if path.is_file() else "")
+    if key not in _LAST:
+        built = _built(path, options, progress, name, measured)
+        _LAST.clear()
+        _LAST[key] = built
+    return _LAST[key]
+
+
+_LAST: dict[tuple, tuple[Body, Filled]] = {}
+"""What was built last: who guesses a task of a mesh runs it next."""
+
+
+def _built(
+    path: Path, options: BodyOptions, progress: Progress, name: str | None, measured: bool
+) -> tuple[Body, Filled]:
     # one thread: sums in another order would give other bits, and the hash another gait's body
     with threadpool_limits(limits=1):
-        path = Path(mesh_path)
         filled = fill_file(path, options, progress, measured)
         return _build(path, options, progress, name or path.stem, filled), filled
 

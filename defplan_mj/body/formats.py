@@ -62,7 +62,8 @@ def read_file(path: Path) -> RawMesh:
         DefplanError: it cannot be read; the sentence says why, in the format's words.
     """
     if not path.is_file():
-        raise DefplanError(f"mesh file {path} does not exist")
+        there = "is a folder: name a file in it" if path.is_dir() else "does not exist"
+        raise DefplanError(f"mesh file {path} {there}")
     form = path.suffix.lower()
     if form not in (*SURFACE_FORMATS, *_MESHIO, *_MUJOCO):
         known = ", ".join((*SURFACE_FORMATS, *_MESHIO, *_MUJOCO))

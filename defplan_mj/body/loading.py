@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import resource
+from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
+from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
-from defplan_mj.body import axes
 from defplan_mj.body.fidelity import MOST_DISTANCE, Fidelity, distances, measure
 from defplan_mj.body.formats import RawMesh, read_file
+from defplan_mj.body.look import View, look
 from defplan_mj.body.meshing import fill
 from defplan_mj.body.options import BodyOptions
+from defplan_mj.body.orientation import frame_of
 from defplan_mj.body.repair import Repaired, edge_pieces, repair
 from defplan_mj.body.surface import (
     Surface,
@@ -33,6 +37,8 @@ _ENVELOPE = 2e-3  # of the diagonal, at most
 _SIMPLIFIED = 2.5e-3  # of the length: how far a simplified surface may be from its own
 _FEW = 0.6  # of the wanted vertices: with fewer it is filled again, finer
 _CRUMB = 1e-3  # share of the volume
+_SHAPING = ("vertices", "length", "up", "forward", "strict", "shape_error")
+"""The options that a mesh depends on."""
 
 
 @dataclass
@@ -54,6 +60,10 @@ class Filled:
     source: dict = field(default_factory=dict)
 
 
+_LAST: dict[tuple, Filled] = {}
+"""What was filled last: who guesses a task of a mesh builds its body next, and fTetWild takes long."""
+
+
 def fill_file(
     path: Path, options: BodyOptions, progress: Progress = no_progress, measured: bool = True
 ) -> Filled:
@@ -66,8 +76,19 @@ def fill_file(
         DefplanError: the file cannot be used; the sentence says why and what mends it.
     """
     progress("reading the mesh", 0.0)
-    raw, warnings = _place(read_file(path), options, path)
     measured = measured or options.shape_error is not None
+    if not path.is_file():
+        return _fill_file(path, options, progress, measured)  # which says what is wrong
+    key = (files.file_hash(path), path, measured, *(getattr(options, name) for name in _SHAPING))
+    if key not in _LAST:
+        filled = _fill_file(path, options, progress, measured)
+        _LAST.clear()
+        _LAST[key] = filled
+    return deepcopy(_LAST[key])
+
+
+def _fill_file(path: Path, options: BodyOptions, progress: Progress, measured: bool) -> Filled:
+    raw, warnings = _place(read_file(path), options, path)
     anew: list[str] = []
     if len(raw.tetrahedra):
         try:
@@ -101,6 +122,34 @@ def fill_file(
     return filled
 
 
+def read_view(
+    path: Path, medium: str, length: float, up: str | None = None, forward: str | None = None
+) -> tuple[Surface | TetMesh, View]:
+    """Return what a file holds, mended if need be, along the file's axes, and which way it looks.
+
+    Args:
+        medium: 'water' or 'ground'.
+        length: the longest extent is scaled to it, m.
+        up, forward: axes of the file, if the user says so.
+
+    Raises:
+        DefplanError: the file cannot be used; the sentence says why and what mends it.
+    """
+    raw = read_file(path)
+    cells = raw.tetrahedra if len(raw.tetrahedra) else raw.triangles
+    extent = check_extent(raw.vertices, cells, path)
+    finite = np.where(np.isfinite(raw.vertices), raw.vertices, 0.0)
+    raw = replace(raw, vertices=length / extent.max() * finite)
+    shape: Surface | TetMesh | None = None
+    if len(raw.tetrahedra):
+        with suppress(DefplanError):
+            shape = check_tetrahedra(raw.vertices, raw.tetrahedra, path)
+        raw = replace(raw, triangles=_skin(raw))
+    if shape is None:
+        shape = _sound(_simplify(raw, path)[0], path, strict=False).surface
+    return shape, look(shape, medium, *_axes(raw, up, forward))
+
+
 def _place(raw: RawMesh, options: BodyOptions, path: Path) -> tuple[RawMesh, list[str]]:
     """Turn and scale what was read; return it and warnings."""
     cells = raw.tetrahedra if len(raw.tetrahedra) else raw.triangles
@@ -108,11 +157,16 @@ def _place(raw: RawMesh, options: BodyOptions, path: Path) -> tuple[RawMesh, lis
     extent = check_extent(raw.vertices, cells, path)
     vertices, notes = np.where(np.isfinite(raw.vertices), raw.vertices, 0.0), list(raw.notes)
     faces = _skin(raw) if len(raw.tetrahedra) else raw.triangles
-    shape = Surface(vertices, faces)
-    rotation, said = axes.turn(shape, options.up, options.forward, raw.up, raw.forward)
-    if said:
-        vertices = vertices @ rotation.T
-        notes.append(said)
+    medium = "ground" if options.medium.gravity else "water"
+    view = look(Surface(vertices, faces), medium, *_axes(raw, options.up, options.forward))
+    frame = frame_of(view.up, view.forward)
+    if not np.array_equal(frame, np.eye(3)):
+        vertices = vertices @ frame.T
+        because = f" ({view.why})" if view.why else ""
+        notes.append(
+            f"turned: {view.up} of the file is up, {view.forward} is forward{because};"
+            " --up and --forward overrule"
+        )
         extent = np.ptp(vertices[used], axis=0)
     warnings: list[str] = []
     if options.length is not None:
@@ -124,6 +178,17 @@ def _place(raw: RawMesh, options: BodyOptions, path: Path) -> tuple[RawMesh, lis
             " to M metres"
         )
     return replace(raw, vertices=vertices, notes=notes), warnings
+
+
+def _axes(raw: RawMesh, up: str | None, forward: str | None) -> tuple[str | None, str | None]:
+    """Return what the user says of up and forward, and else what the file's format does."""
+    up = up or (raw.up if forward is None or _across(raw.up, forward) else None)
+    forward = forward or (raw.forward if up is None or _across(raw.forward, up) else None)
+    return up, forward
+
+
+def _across(said: str | None, given: str) -> bool:
+    return said is not None and said[-1] != given[-1]
 
 
 def _skin(raw: RawMesh) -> np.ndarray:

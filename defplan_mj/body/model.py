@@ -164,7 +164,7 @@ class Body:
         files.save_archive(path, "body", FORMAT_VERSION, self._arrays(), self._meta())
 
     @classmethod
-    def load(cls, path: str | Path) -> Body:
+    def load(cls, path: files.Source) -> Body:
         """Read a body of `save`.
 
         Raises:
@@ -183,5 +183,5 @@ class Body:
                 source=meta["source"],
                 **arrays,
             )
-        validate_body(body, str(path))
+            validate_body(body, str(path))
         return body

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 MOST_VERTICES = 1_000_000
 _ORTHONORMAL, _CONSISTENT = 1e-8, 1e-8
+_LARGEST = 1e30  # of any number: its square is one, too
 
 _SHAPES = {
     "vertices": ("n", 3),
@@ -97,8 +98,8 @@ def _check_shapes(body: Body, where: str) -> dict[str, int]:
             elif size != expected:
                 _refuse(where, name, f"has shape {array.shape}, which does not fit the others"
                         f" ({expected} wanted where it has {size})")  # fmt: skip
-        if kind == "f" and not np.isfinite(array).all():
-            _refuse(where, name, "has numbers that are not finite")
+        if kind == "f" and not (np.abs(array) < _LARGEST).all():
+            _refuse(where, name, "has numbers that are not finite or too large")
     if sizes["n"] > MOST_VERTICES:
         _refuse(where, "vertices", f"are {sizes['n']}, at most {MOST_VERTICES} can be")
     return sizes
@@ -111,8 +112,8 @@ def _check_constants(body: Body, where: str) -> None:
             if name == "name":
                 continue
             label = f"{group}'s {name}"
-            if not isinstance(value, (int, float)) or not np.isfinite(value):
-                _refuse(where, label, f"is {value}, a finite number is wanted")
+            if not isinstance(value, (int, float)) or not abs(value) < _LARGEST:
+                _refuse(where, label, f"is {value!r:.40}, a finite number is wanted")
             if name in _SIGNED[group]:
                 continue
             zero = name in _MAY_BE_ZERO or (group, name) == ("medium", "density")

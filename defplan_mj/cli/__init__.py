@@ -2,62 +2,73 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import errno
 import os
-import signal
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from defplan_mj.base import threads
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.printable import printable
+from defplan_mj.cli import streams
+from defplan_mj.cli.stops import Stops, Terminated
 
-STOPPED = 130  # what shells report for a program ended by Ctrl-C
+LONGEST = 2000
+"""Letters of a sentence."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (without the program's name; None: that of this process).
 
     Returns:
-        0 if the command did what it was asked, 1 on an error, 2 on wrong usage, 130 on Ctrl-C.
+        0 if the command did what it was asked, 1 on an error, 2 on wrong usage, 130 on Ctrl-C, 143 on
+        SIGTERM.
     """
     debug = "--debug" in (sys.argv if argv is None else argv)
+    stops, program = Stops(), "defplan"
     try:
+        if argv is None:  # the process is ours
+            streams.prepare()
+        stops.listen()
         threads.set_environment(1)  # before anything loads numpy
-        return _run(argv)
-    except SystemExit as stop:  # argparse: --help or wrong usage
-        return stop.code if isinstance(stop.code, int) else 1
+        from defplan_mj.cli.parser import parse
+
+        arguments = parse(argv)
+        program = arguments.parser.prog
+        return _run(arguments)
     except BaseException as error:
-        with _one_is_enough():
-            if debug:
-                traceback.print_exc()
-            return _report(error)
-
-
-@contextlib.contextmanager
-def _one_is_enough() -> Iterator[None]:
-    """Ignore a second Ctrl-C while the first one, or an error, is being told."""
-    try:
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not the main thread of a program that calls us
-        yield
-        return
-    try:
-        yield
+        stops.acknowledge()
+        if isinstance(error, SystemExit) and stops.received is None:
+            return _left(error)  # argparse: --help or wrong usage
+        if debug:
+            traceback.print_exc()
+        return _report(error, stops, program)
     finally:
-        signal.signal(signal.SIGINT, before)
+        if argv is not None or stops.received is None:
+            stops.leave()  # else Python would be interrupted while it leaves
 
 
-def _run(argv: Sequence[str] | None) -> int:
+def _run(arguments: argparse.Namespace) -> int:
     from defplan_mj.cli.console import Console
-    from defplan_mj.cli.parser import parse
     from defplan_mj.cli.screen import choose_renderer
 
-    arguments = parse(argv)
     choose_renderer(arguments.draws)
     with Console(json=arguments.json, quiet=arguments.quiet) as console:
         return arguments.command(arguments, console)
+
+
+def _left(stop: SystemExit) -> int:
+    """Return the exit code of argparse; its text may not have got out."""
+    code = stop.code if isinstance(stop.code, int) else 1
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code
+    except OSError as error:
+        return _report(error, Stops(), "defplan")
 
 
 def _drop_output() -> None:
@@ -68,26 +79,31 @@ def _drop_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _report(error: BaseException) -> int:
-    """Say `error` in one sentence on stderr; return the exit code."""
-    if isinstance(error, KeyboardInterrupt):
-        _say("stopped; run it again to go on")
+def _report(error: BaseException, stops: Stops, program: str) -> int:
+    """Say `error` in one sentence on stderr, after the command's name; return the exit code."""
+    if isinstance(error, KeyboardInterrupt) or stops.received is not None:
+        # whatever else it looks like: C code and imports make other errors of an interrupt
+        _say(program, "stopped; run it again to go on")
+        code = 143 if isinstance(error, Terminated) else stops.code
         if threads.abandoned():
             # a solver still computes in C++: Python would crash when it takes the ground from under it
-            os._exit(STOPPED)
-        return STOPPED
+            os._exit(code)
+        return code
     if isinstance(error, OSError):
         _drop_output()
     if isinstance(error, BrokenPipeError):  # the reader, e.g. `head`, has seen enough
         return 1
     if isinstance(error, DefplanError):
-        _say(str(error))
+        _say(program, str(error))
     elif isinstance(error, OSError) and error.errno is not None:
-        _say(_system_error(error))
+        _say(program, _system_error(error))
     elif isinstance(error, MemoryError):
-        _say("the memory is used up: close other programs or use a smaller mesh")
+        _say(program, "the memory is used up: close other programs or use a smaller mesh")
     else:
-        _say(f"this is a mistake in defplan: {type(error).__name__}: {error} (--debug shows where)")
+        _say(
+            program,
+            f"this is a mistake in defplan: {type(error).__name__}: {error} (--debug shows where)",
+        )
     return 1
 
 
@@ -101,6 +117,9 @@ def _system_error(error: OSError) -> str:
     return f"{error.strerror}{where}"
 
 
-def _say(sentence: str) -> None:
+def _say(program: str, sentence: str) -> None:
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed or on the full disk
-        print(f"defplan: {sentence}", file=sys.stderr, flush=True)
+        told = printable(sentence)
+        if len(told) > LONGEST:  # a file may bring along a name without end
+            told = f"{told[:LONGEST]} ..."
+        print(f"{program}: {told}", file=sys.stderr, flush=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli.console import Console
+from defplan_mj.cli.new import check_preview, show
 
 SHAPE_ERROR = 0.01  # of the length: what a file's mesh may differ by; a task says it itself
 
@@ -24,11 +25,14 @@ def body(arguments: argparse.Namespace, console: Console) -> int:
     from defplan_mj.base import files
     from defplan_mj.body.build import build_with_account
 
-    mesh, options, name = _what(arguments)
-    output = arguments.output or Path(f"{name}.npz")
+    mesh, options, name, task = _what(arguments)
+    output = arguments.output or Path(f"{task or name}.npz")
     if output.suffix != ".npz":
         raise DefplanError(f"a body file ends in .npz, not {output.suffix or 'nothing'}: {output}")
     files.check_writable(output)  # now, not after half a minute of work
+    if arguments.output is None:
+        console.say(f"the body goes into {output}; -o FILE puts it elsewhere")
+    check_preview(arguments)
     start = time.perf_counter()
     with console.progress() as progress:
         built, filled = build_with_account(
@@ -37,6 +41,8 @@ def body(arguments: argparse.Namespace, console: Console) -> int:
         built.save(output)
         data = _describe(built, output, time.perf_counter() - start)
         data |= _account(filled)
+        if arguments.preview is not None:
+            show(built.vertices, built.faces, arguments.preview)
         if arguments.check:
             from defplan_mj.body.check import check_body
 
@@ -63,23 +69,23 @@ def _account(filled: Filled) -> dict[str, Any]:
     }
 
 
-def _what(arguments: argparse.Namespace) -> tuple[Path, BodyOptions, str]:
-    """Return mesh, options and name of the body: MESH is a mesh, or a task's file or name."""
+def _what(arguments: argparse.Namespace) -> tuple[Path, BodyOptions, str, str]:
+    """Return mesh, options and name of the body, and of its task: MESH is a mesh, or a task's file or name."""
     from defplan_mj.task import BodyOptions
     from defplan_mj.taskfile.find import find_task, is_file
 
     mesh, options = Path(arguments.mesh), BodyOptions()
-    name = mesh.stem
+    name, task = mesh.stem, ""
     changes: dict[str, Any] = {"shape_error": SHAPE_ERROR}
     if is_file(arguments.mesh):
         spec = find_task(arguments.mesh)
-        mesh, options, name, changes = spec.mesh, spec.body, spec.mesh.stem, {}
+        mesh, options, name, task, changes = spec.mesh, spec.body, spec.mesh.stem, spec.name, {}
     elif not mesh.exists() and not mesh.suffix and mesh.parent == Path():
         try:
             spec = find_task(arguments.mesh)
         except DefplanError as error:
             raise DefplanError(f"mesh file {mesh} does not exist, and {error}") from error
-        mesh, options, name, changes = spec.mesh, spec.body, spec.mesh.stem, {}
+        mesh, options, name, task, changes = spec.mesh, spec.body, spec.mesh.stem, spec.name, {}
     material = _given(arguments, density="density", youngs_modulus="youngs_modulus",
                       poissons_ratio="poissons_ratio")  # fmt: skip
     changes |= _given(arguments, vertices="vertices", modes="modes", length="length", up="up",
@@ -90,7 +96,7 @@ def _what(arguments: argparse.Namespace) -> tuple[Path, BodyOptions, str]:
         changes["material"] = dataclasses.replace(options.material, **material)
     if arguments.medium and arguments.medium != options.medium.name:
         changes["medium"] = _medium(arguments.medium)
-    return mesh, dataclasses.replace(options, **changes), name
+    return mesh, dataclasses.replace(options, **changes), name, task
 
 
 def _given(arguments: argparse.Namespace, **names: str) -> dict[str, Any]:

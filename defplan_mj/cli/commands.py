@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli.console import Console
 from defplan_mj.cli.text import (
     bench_text,
@@ -31,17 +32,18 @@ if TYPE_CHECKING:
 
 
 def list_installed(arguments: argparse.Namespace, console: Console) -> int:
-    """Name the tasks, solvers, sensors and the suite that are installed, broken ones with the reason."""
+    """Name the tasks, solvers, sensors, studies and the suite that are installed, broken ones with the reason."""
     from defplan_mj import registry, suite
     from defplan_mj.rl.register import registered
 
     tasks, solvers, domains = registry.tasks(), registry.solvers(), registry.domains()
-    sensors, ids = registry.sensors(), registered()
+    sensors, ids, studies = registry.sensors(), registered(), registry.studies()
     data: dict[str, list[dict[str, Any]]] = {
         "tasks": [_entry(e, "description") for e in tasks],
         "solvers": [_entry(e, "summary", "kind") for e in solvers],
         "sensors": [_entry(e) for e in sensors],
         "domains": [_entry(e) for e in domains],
+        "studies": [_entry(e) for e in studies],
         "suite": [
             {"domain": domain, "task": task, "gymnasium": ids.get((domain, task))}
             for domain, task in suite.ALL_TASKS
@@ -57,11 +59,12 @@ def list_installed(arguments: argparse.Namespace, console: Console) -> int:
         )
     ]
     rows += [["sensor", d["name"], ""] for d in data["sensors"] if "error" not in d]
+    rows += [["study", d["name"], ""] for d in data["studies"] if "error" not in d]
     rows += [
         ["suite task", f"{d['domain']} {d['task']}", d["gymnasium"] or ""] for d in data["suite"]
     ]
     console.result(data, _left(rows))
-    for entry in [*tasks, *solvers, *sensors, *domains]:
+    for entry in [*tasks, *solvers, *sensors, *domains, *studies]:
         if entry.error:
             console.say(f"{entry.name} of package {entry.package} is broken: {entry.error}")
     return 0
@@ -92,6 +95,10 @@ def run(arguments: argparse.Namespace, console: Console) -> int:
     from defplan_mj.pipeline.results import run_results
     from defplan_mj.taskfile.find import is_mesh
 
+    if Path(arguments.task).is_dir():
+        raise DefplanError(
+            f"{arguments.task} is a folder: name a task, or a mesh or task file in it"
+        )
     if is_mesh(arguments.task):
         arguments.task = str(task_of_mesh(arguments, console))
     else:
@@ -341,13 +348,37 @@ def view(arguments: argparse.Namespace, console: Console) -> int:
     """Watch the planner steer through unseen scenes, in real time, until the window is closed."""
     from defplan_mj.host.viewer import require_display, view
     from defplan_mj.pipeline import trial
+    from defplan_mj.planning.planner import needs_obstacles
 
+    if arguments.live:
+        return _stream(arguments, console)
     require_display()  # before any work
     chosen = {"planner": arguments.planner, "feedback": arguments.feedback}
     with _stage(arguments, console, "view", **chosen) as run:
         run.do("planner")
         environment = trial.environment(run, arguments.obstacles)
         planner = trial.steering(run, arguments.shield)
+    environment.task.tells_obstacles = needs_obstacles(planner)
     outcomes = view(environment, lambda step: int(planner.values(step.observation).argmax()))
+    console.result({"outcomes": outcomes}, "\n".join(outcomes))
+    return 0
+
+
+def _stream(arguments: argparse.Namespace, console: Console) -> int:
+    """Stream unseen scenes to Foxglove or Lichtblick until Ctrl-C, or for --episodes."""
+    from defplan_mj.log.live import Server
+    from defplan_mj.pipeline import trial
+
+    chosen = {"planner": arguments.planner, "feedback": arguments.feedback}
+    with (
+        Server(arguments.port) as server,  # before any work
+        _stage(arguments, console, "view", **chosen) as run,
+    ):
+        run.do("planner")
+        console.say(
+            f"streaming to {server.address}: open it in Foxglove or Lichtblick; Ctrl-C ends"
+        )
+        options = arguments.shield, arguments.obstacles, arguments.episodes
+        outcomes = trial.stream(run, server, *options)
     console.result({"outcomes": outcomes}, "\n".join(outcomes))
     return 0

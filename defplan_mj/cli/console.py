@@ -11,6 +11,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.printable import printable
+from defplan_mj.cli import streams
+
 if TYPE_CHECKING:
     from defplan_mj.base.progress import Progress
 
@@ -56,10 +60,12 @@ class Console:
     def say(self, text: str) -> None:
         """Print a message for the user (stderr), unless --quiet."""
         if not self.quiet:
-            print(text, file=sys.stderr, flush=True)
+            print(printable(text, lines=True), file=sys.stderr, flush=True)
 
     def result(self, data: Mapping[str, Any], text: str) -> None:
         """Print the result: `data` as one JSON object with --json, else `text`."""
+        if streams.is_closed(1):
+            raise DefplanError("stdout is closed: the work is done, its result cannot be printed")
         if self._stdout is not None:
             from defplan_mj.base import files  # NumPy is loaded only when there is a result
 
@@ -67,7 +73,7 @@ class Console:
             with open(os.dup(self._stdout), "w", encoding="utf-8") as stream:
                 stream.write(line)
         else:
-            print(text)
+            print(printable(text, lines=True))
 
     def asker(self) -> Callable[[str], bool] | None:
         """Return what asks the user a question; None if nobody is there to answer."""
@@ -88,7 +94,7 @@ class Console:
 
 def _ask(question: str) -> bool:
     """Return whether the user answers yes; no answer is no."""
-    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    print(f"{printable(question, lines=True)} [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
@@ -96,15 +102,26 @@ class _PlainLines:
     """Progress for a file or a pipe: a line when the message changes and every few seconds."""
 
     def __init__(self) -> None:
+        from defplan_mj.base.progress import TimeLeft
+
         self.message = ""
         self.next = 0.0
+        self.left = TimeLeft(time.monotonic)
 
     def __call__(self, message: str, fraction: float) -> None:
-        now = time.monotonic()
+        now, left = time.monotonic(), self.left(message, fraction)
         if message == self.message and now < self.next:
             return
         self.message, self.next = message, now + PLAIN_SECONDS
-        print(f"{message} {100 * fraction:3.0f}%", file=sys.stderr, flush=True)
+        line = f"{printable(message)} {100 * fraction:3.0f}%{_told(left)}"
+        print(line, file=sys.stderr, flush=True)
+
+
+def _told(seconds: float | None) -> str:
+    """Return how long it still takes, to be put behind a percentage; nothing if that is not known."""
+    from defplan_mj.base.progress import duration
+
+    return "" if seconds is None else f", about {duration(seconds)} left"
 
 
 @contextlib.contextmanager
@@ -114,31 +131,35 @@ def _bars() -> Iterator[Progress]:
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as RichProgress
 
+    from defplan_mj.base.progress import TimeLeft
+
     columns = (
-        TextColumn("{task.description:<34}"),
+        TextColumn("{task.description:<34}", markup=False),
         BarColumn(),
         TaskProgressColumn(),
         TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
     )
     bars, started = RichProgress(*columns, console=RichConsole(stderr=True)), False
     try:
         shown: dict[str, Any] = {}
-        last = 0.0
+        last, time_left = 0.0, TimeLeft(time.monotonic)
 
         def show(message: str, fraction: float) -> None:
             nonlocal last, started
             if not started:  # not before: a question may be asked first
                 bars.start()
                 started = True
-            now = time.monotonic()
+            now, seconds = time.monotonic(), time_left(message, fraction)
             if message in shown and fraction < 1 and now - last < BAR_SECONDS:
                 return
             last = now
             if message not in shown:
                 for earlier in shown.values():  # what came before is done
-                    bars.update(earlier, completed=1.0)
-                shown[message] = bars.add_task(message, total=1.0)
-            bars.update(shown[message], completed=min(max(fraction, 0.0), 1.0))
+                    bars.update(earlier, completed=1.0, left="")
+                shown[message] = bars.add_task(printable(message), total=1.0, left="")
+            done = min(max(fraction, 0.0), 1.0)
+            bars.update(shown[message], completed=done, left=_told(seconds).lstrip(", "))
 
         yield show
     finally:
@@ -148,7 +169,7 @@ def _bars() -> Iterator[Progress]:
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: str = "") -> str:
     """Return a plain-text table: first column to the left, the others to the right."""
-    text = [[str(cell) for cell in row] for row in rows]
+    text = [[printable(str(cell)) for cell in row] for row in rows]
     width = [max(len(c), *(len(r[i]) for r in text), 0) for i, c in enumerate(columns)]
 
     def line(cells: Sequence[str]) -> str:

@@ -11,9 +11,11 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli.console import Console
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from defplan_mj.taskfile.guess import Guess
 
-_GUESSING = ("medium", "length", "up", "forward")
+_GUESSING = ("medium", "length", "up", "forward", "preview")
 
 
 def new(arguments: argparse.Namespace, console: Console) -> int:
@@ -35,6 +37,8 @@ def new(arguments: argparse.Namespace, console: Console) -> int:
         spec = dataclasses.replace(spec, name=_name(output))
         notes.append(f"It started as a copy of {Path(origin).name}.")
     else:
+        if Path(mesh).is_dir():
+            raise DefplanError(f"{mesh} is a folder: name a mesh file in it")
         if not is_mesh(mesh):
             raise DefplanError(f"{mesh} is no mesh file: `defplan new --from {mesh}` copies a task")
         guess = _guess(arguments, console, mesh)
@@ -92,10 +96,11 @@ def _refuse_guessing(arguments: argparse.Namespace, what: str) -> None:
 def _guess(arguments: argparse.Namespace, console: Console, mesh: str) -> Guess:
     from defplan_mj.taskfile.guess import guess_task
 
+    check_preview(arguments)
     if arguments.medium is None:
         raise DefplanError(f"say what {mesh} moves in: --medium water, or --medium ground")
     with console.progress() as progress:
-        return guess_task(
+        guess = guess_task(
             mesh,
             arguments.medium,
             length=arguments.length,
@@ -103,6 +108,27 @@ def _guess(arguments: argparse.Namespace, console: Console, mesh: str) -> Guess:
             forward=arguments.forward,
             progress=progress,
         )
+    if arguments.preview is not None:
+        show(guess.shape.vertices, guess.shape.faces, arguments.preview)
+    return guess
+
+
+def check_preview(arguments: argparse.Namespace) -> None:
+    """Raise a DefplanError if the picture that is asked for cannot be written."""
+    from defplan_mj.base import files
+
+    if arguments.preview is not None:
+        if arguments.preview.suffix.lower() != ".png":
+            raise DefplanError(f"--preview writes a .png, not {arguments.preview}")
+        files.check_writable(arguments.preview)
+
+
+def show(points: np.ndarray, faces: np.ndarray, path: Path) -> None:
+    """Write the picture that shows which way a mesh looks."""
+    from defplan_mj.log.plotting import save_figure
+    from defplan_mj.report.figures.preview import preview_figure
+
+    save_figure(preview_figure(points, faces), path)
 
 
 def _name(output: Path) -> str:

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from defplan_mj import __version__
-from defplan_mj.cli import body, commands, logs, new
+from defplan_mj.base.printable import printable
+from defplan_mj.cli import body, commands, logs, new, study
 from defplan_mj.planning.outcome import PLACES, SCENES
 
 _AXES = ("x", "-x", "y", "-y", "z", "-z")
@@ -25,7 +25,12 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         hint = "" if message.endswith("?") else f"; see {self.prog} --help"
-        self.exit(2, f"{self.prog}: {message}{hint}\n")
+        self.exit(2, f"{self.prog}: {printable(message)}{hint}\n")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        """Write help, or an error; argparse itself says nothing of what could not be written."""
+        if message:
+            print(message, end="", file=file or sys.stderr, flush=True)
 
     def refuse(self, rest: Sequence[str]) -> NoReturn:
         """Stop with a sentence on the first of the arguments that nothing here takes."""
@@ -51,6 +56,22 @@ class Parser(argparse.ArgumentParser):
 
 
 _SCENES = (*SCENES, *PLACES)
+
+
+class _Version(argparse.Action):
+    """Says what is installed; the kernel is looked at only when it is asked for."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option: str | None = None,
+    ) -> NoReturn:
+        from defplan_mj.cli.version import version_text
+
+        print(version_text(), flush=True)
+        parser.exit()
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -83,7 +104,9 @@ def build() -> argparse.ArgumentParser:
         " `defplan list` names all that are installed.",
         allow_abbrev=False,
     )
-    parser.add_argument("--version", action="version", version=f"defplan {__version__}")
+    parser.add_argument(
+        "--version", action=_Version, nargs=0, help="show versions and the kernel's build"
+    )
     subparsers = parser.add_subparsers(
         title="commands", metavar="COMMAND", required=True, parser_class=Parser
     )
@@ -99,7 +122,7 @@ def build() -> argparse.ArgumentParser:
         add(
             "list",
             commands.list_installed,
-            "name the tasks, solvers, sensors and suite tasks that are installed",
+            "name the tasks, solvers, sensors, studies and suite tasks that are installed",
         )
     )
     _run(
@@ -109,6 +132,9 @@ def build() -> argparse.ArgumentParser:
             "do everything: mesh, gaits, planner, evaluation, log, report",
             True,
         )
+    )
+    _study(
+        add("study", study.study, "carry out many runs by one file: their table, their page", True)
     )
     _new(add("new", new.new, "write a task file, guessed from a mesh or copied from a task"))
     _body(add("body", body.body, "build a soft body from a mesh file"))
@@ -128,7 +154,9 @@ def build() -> argparse.ArgumentParser:
     _bench(add("bench", commands.bench, "time the step, its peers, the surrogate and the laser"))
     _compare(add("compare", logs.compare, "compare the surrogate with the truth, from logs"))
     _replay(add("replay", logs.replay, "simulate a log again, to the bit", True))
-    _view(add("view", commands.view, "watch a task in MuJoCo's viewer", True))
+    _logs(add("logs", logs.logs, "say how the episodes of many logs ended"))
+    _export(add("export", logs.export, "write logs as a table, or for Rerun"))
+    _view(add("view", commands.view, "watch a task in MuJoCo's viewer, or live in Foxglove", True))
     return parser
 
 
@@ -153,6 +181,13 @@ def _guessing(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--length", type=_positive, metavar="M", help="longest extent (default: 1 m)")
     sub.add_argument("--up", choices=_AXES, help="axis of the mesh file (default: guessed)")
     sub.add_argument("--forward", choices=_AXES, help="axis of the mesh file (default: guessed)")
+    _preview(sub)
+
+
+def _preview(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--preview", type=Path, metavar="FILE.png", help="picture of which way the mesh looks"
+    )
 
 
 def _run(sub: argparse.ArgumentParser) -> None:
@@ -188,6 +223,30 @@ def _run(sub: argparse.ArgumentParser) -> None:
     _common(sub)
 
 
+def _study(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "study", metavar="STUDY", help="a study file (.toml), or one that `defplan list` names"
+    )
+    sub.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="say what is there, what is to be made and about how long it takes; make nothing",
+    )
+    sub.add_argument("--quick", action="store_true", help="with the file's table [quick]")
+    sub.add_argument(
+        "--jobs", type=_count, metavar="N", help="runs at a time, each a process (default: 1)"
+    )
+    sub.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that does the runs")
+    sub.add_argument(
+        "--scheduler-file", type=Path, metavar="FILE", help="that `dask scheduler` has written"
+    )
+    sub.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR",
+                     help="where the study's folder lies (default: logs)")  # fmt: skip
+    sub.add_argument("--remake", action="store_true",
+                     help="make finished stages anew if they were made with other options")  # fmt: skip
+    _common(sub)
+
+
 def _body(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "mesh",
@@ -206,16 +265,19 @@ def _body(sub: argparse.ArgumentParser) -> None:
         metavar="M",
         help="scale the longest extent to M metres (default: the file's numbers are metres)",
     )
-    axes = ("x", "y", "z", "-x", "-y", "-z")
     sub.add_argument(
         "--up",
-        choices=axes,
+        choices=_AXES,
         metavar="AXIS",
         help="the file's axis that is up: x, y, z; --up=-z (default: a guess)",
     )
     sub.add_argument(
-        "--forward", choices=axes, metavar="AXIS", help="the file's axis that the head points along"
+        "--forward",
+        choices=_AXES,
+        metavar="AXIS",
+        help="the file's axis that the head points along",
     )
+    _preview(sub)
     sub.add_argument(
         "--strict", action="store_true", help="refuse a mesh that would have to be repaired"
     )
@@ -365,19 +427,66 @@ def _compare(sub: argparse.ArgumentParser) -> None:
     _common(sub)
 
 
+def _logs(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "log", nargs="+", type=Path, metavar="DIR", help="folder with logs, or a log (MCAP file)"
+    )
+    _common(sub)
+
+
+def _export(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "log", nargs="+", type=Path, metavar="LOG", help="MCAP file, or a folder with some"
+    )
+    sub.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="table to write: .parquet or .csv"
+    )
+    sub.add_argument(
+        "--table",
+        choices=("steps", "cycles", "episodes"),
+        default="steps",
+        help="which: a row for each physics step (default), gait cycle or episode",
+    )
+    sub.add_argument(
+        "--rerun", type=Path, metavar="FILE", help="recording to write: .rrd, of one log"
+    )
+    sub.add_argument(
+        "--layout",
+        type=Path,
+        metavar="FILE",
+        help="layout to write (JSON) for Foxglove and Lichtblick, with the names of one log's numbers",
+    )
+    _common(sub)
+
+
 def _replay(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("log", type=Path, metavar="LOG", help="MCAP file")
     sub.add_argument(
         "--video",
         type=Path,
         metavar="FILE",
-        help="draw it as a video (MP4, GIF) or as a picture of its end (PNG)",
+        help="draw it as a video (MP4, WebP, GIF) or as a picture of its end (PNG)",
     )
     sub.add_argument(
         "--camera",
         metavar="NAME",
         default="chase",
         help="of the video: chase, side, top, map (all of the way), overview (default: chase)",
+    )
+    sub.add_argument(
+        "--size",
+        type=_size,
+        metavar="WxH",
+        help="of the video in pixels (default: 640x360, of a picture 960x540)",
+    )
+    sub.add_argument(
+        "--fps", type=_positive, default=25.0, metavar="N", help="frames a second (default: 25)"
+    )
+    sub.add_argument(
+        "--since", type=_not_negative, default=0.0, metavar="S", help="draw from there on (s)"
+    )
+    sub.add_argument(
+        "--until", type=_positive, default=math.inf, metavar="S", help="draw up to there (s)"
     )
     _common(sub)
 
@@ -390,6 +499,15 @@ def _view(sub: argparse.ArgumentParser) -> None:
         "--shield", action=argparse.BooleanOptionalAction, default=True, help="(default: with it)"
     )
     sub.add_argument("--obstacles", type=_natural, metavar="N", help="on the way to the target")
+    sub.add_argument(
+        "--live",
+        action="store_true",
+        help="stream to Foxglove or Lichtblick instead; needs no screen",
+    )
+    sub.add_argument(
+        "--port", type=_natural, default=8765, metavar="N", help="of that (default: 8765)"
+    )
+    sub.add_argument("--episodes", type=_count, metavar="N", help="of that (default: until Ctrl-C)")
     _stage(sub)
     _common(sub)
 
@@ -450,6 +568,14 @@ def _not_negative(text: str) -> float:
 
 def _poisson(text: str) -> float:
     return _number(text, float, lambda x: 0 <= x < 0.5, "a number from 0 to below 0.5")
+
+
+def _size(text: str) -> tuple[int, int]:
+    what = "a size like 640x360, of 16 to 4096 pixels"
+    sides = [_number(side, int, lambda n: 16 <= n <= 4096, what) for side in text.split("x", 1)]
+    if len(sides) != 2:
+        raise argparse.ArgumentTypeError(f"{text} is not {what}")
+    return sides[0] - sides[0] % 2, sides[1] - sides[1] % 2  # codecs want even ones
 
 
 def _number(text: str, kind: type, fits: Callable[[Any], bool], description: str) -> Any:

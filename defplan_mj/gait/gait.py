@@ -12,10 +12,12 @@ import numpy as np
 
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.printable import MOST_LETTERS, is_name
 from defplan_mj.kernel.pack import INTEGRATORS, MAX_SUBSTEPS
 
 FORMAT_VERSION = 2
 MOST_STEPS = 100_000  # in a cycle: a table of them is made
+MOST_TERMS = 10_000_000  # of all sums in that table
 _HASH = re.compile("[0-9a-f]{64}")
 
 
@@ -117,7 +119,7 @@ class Gait:
         files.save_archive(path, "gait", FORMAT_VERSION, self._arrays(), self._meta())
 
     @classmethod
-    def load(cls, path: str | Path) -> Gait:
+    def load(cls, path: files.Source) -> Gait:
         """Read a gait of `save`.
 
         Raises:
@@ -135,7 +137,7 @@ class Gait:
                 meta=meta["meta"],
                 **arrays,
             )
-        validate_gait(gait, str(path))
+            validate_gait(gait, str(path))
         return gait
 
 
@@ -154,10 +156,12 @@ def validate_gait(gait: Gait, where: str) -> None:
         refuse("body_hash", "must be 64 hexadecimal digits")
     if (
         not names
-        or not all(isinstance(n, str) and n for n in names)
+        or not all(isinstance(n, str) and is_name(n) for n in names)
         or len(set(names)) < len(names)
     ):
-        refuse("task_names", "must be different names, one or more")
+        refuse(
+            "task_names", f"must be different names of at most {MOST_LETTERS} letters, one or more"
+        )
     if not isinstance(gait.timestep, (int, float)) or not 0.0 < gait.timestep < np.inf:
         refuse("timestep", f"is {gait.timestep}, it must be positive")
     if isinstance(steps, bool) or not isinstance(steps, int) or not 1 <= steps <= MOST_STEPS:
@@ -181,6 +185,9 @@ def validate_gait(gait: Gait, where: str) -> None:
     for name in ("alpha", "beta"):
         if getattr(gait, name).shape != expected:
             refuse(name, f"has shape {getattr(gait, name).shape}, wanted {expected}")
+    if steps * gait.alpha.size > MOST_TERMS:
+        refuse("alpha", f"and steps_per_cycle make {steps * gait.alpha.size} terms, at most"
+               f" {MOST_TERMS} can be")  # fmt: skip
     if gait.amplitude.shape != expected[2:]:
         refuse("amplitude", f"has shape {gait.amplitude.shape}, wanted {expected[2:]}")
     if not (gait.amplitude > 0.0).all():

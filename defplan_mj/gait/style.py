@@ -11,17 +11,32 @@ from defplan_mj.body.model import Body
 _X = np.array([1.0, 0.0, 0.0])
 
 
-def lateral_share(body: Body, axis: np.ndarray = _X, sections: int = 24) -> np.ndarray:
-    """Return (r,) how much of each mode bends the body sideways as a whole, 0 to 1.
+def lateral_share(
+    vertices: np.ndarray,
+    modes: np.ndarray,
+    mass: np.ndarray,
+    axis: np.ndarray = _X,
+    sections: int = 24,
+) -> np.ndarray:
+    """Return (r,) how much of each mode bends a body sideways as a whole, 0 to 1.
 
     The share of the mode's kinetic energy in the lateral motion of the means of its cross-sections
     along the own axis (a horizontal one).
+
+    Args:
+        vertices: (n, 3).
+        modes: (n, 3, r) of any scale.
+        mass: (n,) of the vertices.
     """
-    x, side = body.vertices @ axis, np.cross([0.0, 0.0, 1.0], axis)
+    x, side = vertices @ axis, np.cross([0.0, 0.0, 1.0], axis)
     edges = np.linspace(x.min(), x.max(), sections + 1)[1:-1]
-    return _share_of_means(
-        body, np.digitize(x, edges), (body.modes.transpose(0, 2, 1) @ side)[None]
-    )
+    motion = (modes.transpose(0, 2, 1) @ side)[None]
+    return _share_of_means(modes, mass, np.digitize(x, edges), motion)
+
+
+def sideways_share(body: Body, axis: np.ndarray) -> np.ndarray:
+    """Return `lateral_share` of a body's modes."""
+    return lateral_share(body.vertices, body.modes, body.vertex_mass, axis)
 
 
 def pulse_share(body: Body, axis: np.ndarray, sections: int = 8, rings: int = 4) -> np.ndarray:
@@ -39,15 +54,18 @@ def pulse_share(body: Body, axis: np.ndarray, sections: int = 8, rings: int = 4)
         np.einsum("nir,ni->nr", body.modes, outward),
         np.einsum("nir,i->nr", body.modes, axis),
     ]
-    return _share_of_means(body, section * rings + ring, np.array(motion))
+    group = section * rings + ring
+    return _share_of_means(body.modes, body.vertex_mass, group, np.array(motion))
 
 
-def _share_of_means(body: Body, group: np.ndarray, motion: np.ndarray) -> np.ndarray:
+def _share_of_means(
+    modes: np.ndarray, mass: np.ndarray, group: np.ndarray, motion: np.ndarray
+) -> np.ndarray:
     """Return (r,) the share of the modes' energy in the group means of motions (c, n, r)."""
-    mass, groups = body.vertex_mass, group.max() + 1
+    groups = group.max() + 1
     weight = np.bincount(group, mass, groups)
     shares = []
-    for r, mode in enumerate(body.modes.transpose(2, 0, 1)):
+    for r, mode in enumerate(modes.transpose(2, 0, 1)):
         moments = [np.bincount(group, mass * part[:, r], groups) for part in motion]
         means = np.array(moments) / np.maximum(weight, 1e-300)
         shares.append((weight * means**2).sum() / (mass[:, None] * mode**2).sum())
@@ -55,6 +73,6 @@ def _share_of_means(body: Body, group: np.ndarray, motion: np.ndarray) -> np.nda
 
 
 STYLES: dict[str, Callable[[Body, np.ndarray], np.ndarray]] = {
-    "sideways": lateral_share,
+    "sideways": sideways_share,
     "pulse": pulse_share,
 }

@@ -16,7 +16,7 @@ from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.host.navigation import robot_environment
 from defplan_mj.planning.outcome import ENDINGS, Outcome
-from defplan_mj.planning.planner import Planner
+from defplan_mj.planning.planner import Planner, needs_obstacles
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.shield import Shield
 from defplan_mj.task import Navigation
@@ -147,6 +147,7 @@ def run_episode(
     """
     task, physics = env.task, env.physics
     task.scene = scene
+    task.tells_obstacles = needs_obstacles(planner)
     observation = env.reset().observation
     planner.reset()
     told, seconds = getattr(planner, "sees_all", False), env.control_timestep()
@@ -237,11 +238,11 @@ def evaluate(
         shield: wrap the planner in the safety shield.
         recorder: gives the recorders of those episodes that are to be logged.
         context: of the logs.
-        workers: processes (default: one for each core, at most 2, and 1 for a few episodes).
+        workers: processes (default: `threads.available_processes()`, and 1 for a few episodes).
     """
     pilot: Planner = Shield(planner, surrogate, navigation) if shield else planner
     if workers is None:
-        workers = min(threads.available_cores(), 2) if len(scenes) >= PARALLEL_FROM else 1
+        workers = threads.available_processes() if len(scenes) >= PARALLEL_FROM else 1
     room = max([ROOM, *(len(scene.radii) for scene in scenes)])
     run = functools.partial(_run_share, robot, navigation, room, pilot, recorder, context)
     numbered = list(enumerate(scenes))

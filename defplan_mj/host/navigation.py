@@ -53,6 +53,8 @@ class Navigate(base.Task):
         cycles: gait cycles begun in this episode.
         closest: smallest clearance of this episode, m, at most 1.
         step_hook: called with the physics and the target shape (r,) after every physics step.
+        tells_obstacles: observations have 'obstacles', for planners that need them
+            (`planning.planner.needs_obstacles`).
     """
 
     def __init__(
@@ -83,6 +85,7 @@ class Navigate(base.Task):
         self.cycles = 0
         self.closest = 1.0
         self.step_hook: StepHook | None = None
+        self.tells_obstacles = False
         self._feedback = OpenLoop(gait) if feedback is None else feedback
         self._sampler = sampler
         self._fixed = scene
@@ -190,8 +193,11 @@ class Navigate(base.Task):
         return 1.0 if self.outcome == Outcome.TIMEOUT else 0.0
 
     def get_observation(self, physics: Physics) -> collections.OrderedDict[str, np.ndarray]:
-        """Return 'state', 'target' and 'laser', see `reduced_observation`."""
-        return reduced_observation(physics, physics.target())
+        """Return 'state', 'target' and 'laser', see `reduced_observation`; 'obstacles' if it tells them."""
+        observation = reduced_observation(physics, physics.target())
+        if self.tells_obstacles:
+            observation["obstacles"] = true_obstacles(physics, self._here())
+        return observation
 
     def _here(self) -> Scene:
         if self._scene is None:
@@ -230,6 +236,13 @@ def reduced_observation(
     observation["target"] = (np.asarray(target) - centre) @ frame
     observation["laser"] = physics.laser()
     return observation
+
+
+def true_obstacles(physics: Physics, scene: Scene) -> np.ndarray:
+    """Return the obstacles (n, d + 1) of a scene now: centres in the robot's frame and radii, m."""
+    centres = scene.centres + physics.time() * scene.velocities
+    local = (centres - physics.com()) @ physics.planning_frame()
+    return np.column_stack([local[:, : scene.place.dimension], scene.radii])
 
 
 def _tilt(physics: Physics) -> np.ndarray:

@@ -8,11 +8,9 @@ import mujoco
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.host.looks import DRAWN_HALF_HEIGHT, LOOKS
+from defplan_mj.host.looks import DRAWN_HALF_HEIGHT, LOOKS, OBSTACLE_RGBA
 from defplan_mj.host.scene import PARKED, SOLID_HALF_HEIGHT, TARGET
 from defplan_mj.planning.scenes import Scene
-
-RGBA = (0.24, 0.42, 0.80, 1.0)
 
 
 def max_obstacles(model: Any) -> int:
@@ -59,7 +57,7 @@ def set_scene(model: mujoco.MjModel, data: mujoco.MjData, scene: Scene) -> None:
         drawn_height = DRAWN_HALF_HEIGHT + 0.01 * index
         for geom, height in ((solid, SOLID_HALF_HEIGHT), (solid + 1, drawn_height)):
             _set_geom(model, geom, look.obstacle, radius, height)
-            model.geom_rgba[geom] = RGBA if used else 0  # rays do not see alpha 0
+            model.geom_rgba[geom] = OBSTACLE_RGBA if used else 0  # rays do not see alpha 0
         model.geom_pos[solid + 1] = [0.0, 0.0, look.drawn_height]
         # the body's tree of bounding boxes holds its only solid geom
         model.bvh_aabb[model.body_bvhadr[body]] = model.geom_aabb[solid]

@@ -2,33 +2,83 @@
 
 from __future__ import annotations
 
+import dataclasses
+import difflib
 import importlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import imageio.v2 as imageio
 import mujoco
 import numpy as np
+from PIL import Image
 
-from defplan_mj.base import files
+from defplan_mj.base import files, rotations
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.base.space import PLANE
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.host.looks import LOOKS
 from defplan_mj.host.obstacles import set_scene
-from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.host.scene import FLOOR_DEPTH, SUN, build_spec, compile_model, view_length
 from defplan_mj.planning.scenes import Scene
 
 MAP = "map"  # sees the whole way from straight above, to scale
 OVERVIEW = "overview"  # sees the whole way from behind and above
+CHASE, SIDE, TOP = "chase", "side", "top"  # of the model: near the robot
+CAMERAS = (CHASE, SIDE, TOP, MAP, OVERVIEW)
+FORMATS = (".mp4", ".webp", ".gif", ".png")
+
 TRAIL_RGBA = np.array([0.95, 0.98, 1.0, 1.0], np.float32)
 _TRAIL_RADIUS = {MAP: 0.06, OVERVIEW: 0.03}  # m
+_TRAIL_PIECES = 240  # a longer way is drawn in longer pieces
+_TARGET_RGBA = np.array([0.90, 0.16, 0.10, 1.0], np.float32)
+_SHADOW_RGBA = np.array([0.05, 0.08, 0.10, 0.22], np.float32)
+_TURNING_SECONDS = 0.8  # over which the heading is averaged that the camera at the side turns with
 _BACKENDS = ("egl", "osmesa", "glfw")
 _MOTE_RGBA = np.array([0.85, 0.95, 0.95, 0.55], np.float32)
 _MOTE_CELL, _MOTE_SIZE, _MOTE_REACH = 1.25, 0.006, 5  # m; m; cells to each side
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How much work a picture is.
+
+    Attributes:
+        size: width, height in pixels.
+        samples: of each pixel, against stairs along edges.
+        shadows: whether the sun casts any.
+    """
+
+    size: tuple[int, int]
+    samples: int
+    shadows: bool
+
+
+STILL = Quality((960, 540), 8, True)
+MOVING = Quality((640, 360), 0, False)
+"""A picture may take its time; in a video, edges move, and a machine without a GPU draws each pixel."""
+
+
+def check_video(path: str | Path, camera: str = CHASE) -> None:
+    """Raise DefplanError if no video can be drawn at `path` by that camera; to be asked before long work."""
+    if Path(path).is_dir():
+        raise DefplanError(
+            f"{path} is a folder: name a video in it, for example {Path(path) / 'fish.mp4'}"
+        )
+    if Path(path).suffix.lower() not in FORMATS:
+        raise DefplanError(
+            f"cannot write a video as {path}: end its name in .mp4, .webp, .gif or .png"
+        )
+    if camera not in CAMERAS:
+        close = difflib.get_close_matches(camera, CAMERAS, n=1)
+        guess = f", did you mean {close[0]}?" if close else ":"
+        raise DefplanError(f"there is no camera {camera}{guess} there are {', '.join(CAMERAS)}")
+    files.check_writable(path)
 
 
 class Offscreen:
@@ -44,7 +94,9 @@ class Offscreen:
         model.vis.global_.offheight = max(height, model.vis.global_.offheight)
         self._context = _open_context(width, height)
         self._model = model
-        self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
+        scale = mujoco.mjtFontScale  # of what is written into pictures
+        font = scale.mjFONTSCALE_150 if width >= 600 else scale.mjFONTSCALE_100
+        self._mjr = mujoco.MjrContext(model, font)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         self._rect = mujoco.MjrRect(0, 0, width, height)
         self._option = mujoco.MjvOption()
@@ -64,12 +116,18 @@ class Offscreen:
         trail: np.ndarray | None = None,
         trail_radius: float = 0.012,
         motes: np.ndarray | None = None,
+        target: np.ndarray | None = None,
+        shadow: np.ndarray | None = None,
+        caption: tuple[str, str] = ("", ""),
     ) -> np.ndarray:
         """Return the (height, width, 3) uint8 picture of `data`.
 
         Args:
-            trail: (n, 3) points to join by a line, m; of radius `trail_radius`, m.
+            trail: (n, 3) points to join by a line, m; of radius `trail_radius`, m (0: a thin line).
             motes: (n, 3) places of specks floating in the water, m; see `motes_around`.
+            target: (3,) place of a ball with a pole on it, m.
+            shadow: (3,) place of a soft shadow of the size of a body, m.
+            caption: names and values, line by line, written into the upper left corner.
         """
         perturb, everything = mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(
@@ -79,20 +137,47 @@ class Offscreen:
             self._add_trail(trail, trail_radius)
         if motes is not None:
             self._add_motes(motes)
+        if target is not None:
+            self._add_target(target)
+        if shadow is not None:
+            size = np.array([0.24, 0.24, 0.004])
+            self._add(mujoco.mjtGeom.mjGEOM_ELLIPSOID, size, shadow, _SHADOW_RGBA)
         pixels = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
         mujoco.mjr_render(self._rect, self.scene, self._mjr)
+        if any(caption):
+            font, corner = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos.mjGRID_TOPLEFT
+            mujoco.mjr_overlay(font, corner, self._rect, *caption, self._mjr)
         mujoco.mjr_readPixels(pixels, None, self._rect, self._mjr)
         return np.ascontiguousarray(pixels[::-1])
 
     def _add_trail(self, points: np.ndarray, radius: float) -> None:
-        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+        # a line casts no shadow, and costs a tenth of a capsule
+        kind = mujoco.mjtGeom.mjGEOM_CAPSULE if radius else mujoco.mjtGeom.mjGEOM_LINE
+        every = -(-len(points) // _TRAIL_PIECES)
+        points = np.concatenate([points[:-1:every], points[-1:]])
         for start, end in zip(points, points[1:], strict=False):
             if self.scene.ngeom == self.scene.maxgeom:
                 return
             geom = self.scene.geoms[self.scene.ngeom]
-            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.zeros(9), TRAIL_RGBA)
-            mujoco.mjv_connector(geom, capsule, radius, start, end)
+            mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), TRAIL_RGBA)
+            mujoco.mjv_connector(geom, kind, radius or 2.0, start, end)
             self.scene.ngeom += 1
+
+    def _add_target(self, place: np.ndarray) -> None:
+        """Add what shows a target from afar: its radius is drawn by the model."""
+        self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.12), place, _TARGET_RGBA)
+        pole = np.array([0.035, 0.035, 1.5])
+        self._add(mujoco.mjtGeom.mjGEOM_CYLINDER, pole, place + [0, 0, 1.5], _TARGET_RGBA)
+
+    def _add(
+        self, kind: mujoco.mjtGeom, size: np.ndarray, place: np.ndarray, rgba: np.ndarray
+    ) -> None:
+        if self.scene.ngeom == self.scene.maxgeom:
+            return
+        geom = self.scene.geoms[self.scene.ngeom]
+        mujoco.mjv_initGeom(geom, kind, size, place, np.eye(3).ravel(), rgba)
+        geom.transparent = int(rgba[3] < 1)
+        self.scene.ngeom += 1
 
     def _add_motes(self, places: np.ndarray) -> None:
         size, upright = np.full(3, _MOTE_SIZE), np.eye(3).ravel()
@@ -116,34 +201,44 @@ def motes_around(centre: np.ndarray) -> np.ndarray:
     return _MOTE_CELL * (cells + number * (number + 11) % 997 / 997 - 0.5)
 
 
+Caption = Callable[[int], tuple[str, str]]
+"""Index of a state -> names and values to be written into its picture, line by line."""
+
+
 def render_states(
     body: Body,
     states: np.ndarray,
     scene: Scene | None = None,
     path: str | Path | None = None,
-    size: tuple[int, int] = (960, 540),
+    size: tuple[int, int] | None = None,
     fps: float = 25.0,
-    camera: str = "chase",
+    camera: str = CHASE,
     *,
     timestep: float = 0.04,
     trail: bool = True,
     terrain: Terrain | None = None,
     texture: np.ndarray | None = None,
+    caption: Caption | None = None,
+    quality: Quality | None = None,
+    progress: Progress = no_progress,
 ) -> list[np.ndarray]:
     """Draw states in their scene: a video, a picture, or frames.
 
     Args:
         states: (n, 13 + 3r), `timestep` apart, the first at time 0.
-        path: an .mp4 or .gif file takes all frames in real time; a .png takes the last state, with
+        path: an .mp4, .webp or .gif file takes all frames in real time; a .png takes the last state, with
             the way to it; None returns the frames.
-        size: width, height in pixels.
+        size: width, height in pixels; None: that of the quality.
         fps: frames a second of simulated time.
-        camera: 'chase', 'side', 'top' follow the body, without turning with it; 'map' sees the whole
-            way from straight above, to scale; 'overview' from behind and above.
+        camera: 'chase', 'top' follow the body, without turning with it; 'side' turns with the heading of
+            one that stays upright; 'map' sees the whole way from straight above, to scale; 'overview'
+            from behind and above.
         timestep: s.
         trail: draw the way of the centre of mass.
         terrain: what the robot walks on.
         texture: of the skin, see `skin.add_skin`.
+        caption: what is written into a picture.
+        quality: None: `STILL` for a picture, `MOVING` for a video.
 
     Returns:
         The frames, (height, width, 3) uint8, if `path` is None, else an empty list.
@@ -152,58 +247,121 @@ def render_states(
         DefplanError: no way to draw without a screen, or the file cannot be written.
     """
     states = np.atleast_2d(states)
+    if path is not None:
+        check_video(path, camera)
     still = path is not None and Path(path).suffix.lower() == ".png"
+    quality = quality or (STILL if still else MOVING)
+    if size is not None:
+        quality = dataclasses.replace(quality, size=size)
     times = timestep * np.arange(len(states))
     instants = times[-1:] if still else np.arange(0.0, times[-1] + 0.5 * timestep, 1 / fps)
     indices = np.minimum(np.round(instants / timestep).astype(int), len(states) - 1)
-    frames = _frames(body, states, scene, size, camera, timestep, indices, trail, terrain, texture)
+    space = PLANE.name if scene is None else scene.space
+    spec = build_spec(
+        *(body, timestep),
+        max_obstacles=0 if scene is None else len(scene.radii),
+        space=space,
+        terrain=terrain,
+        texture=texture,
+    )
+    film = _Film(
+        *(compile_model(spec), states, scene, timestep, camera, quality, trail),
+        length=view_length(body),
+        walks=terrain is not None,
+    )
+    frames = film.frames(indices, caption, progress)
     if path is None:
         return list(frames)
     _write(frames, Path(path), fps, still)
     return []
 
 
-def _frames(
-    body: Body,
-    states: np.ndarray,
-    scene: Scene | None,
-    size: tuple[int, int],
-    camera: str,
-    timestep: float,
-    indices: Sequence[int],
-    trail: bool,
-    terrain: Terrain | None,
-    texture: np.ndarray | None,
-) -> Iterator[np.ndarray]:
-    room = 0 if scene is None else len(scene.radii)
-    space = PLANE.name if scene is None else scene.space
-    spec = build_spec(
-        body, timestep, max_obstacles=room, space=space, terrain=terrain, texture=texture
-    )
-    model = compile_model(spec)
-    data = mujoco.MjData(model)
-    if scene is None:
-        model.site_rgba[:, 3] = 0
-        model.site_matid[:] = -1
-    if camera == OVERVIEW:
-        model.vis.map.shadowclip *= 3  # at the rim of its map the shadow of the sea bed is grainy
-    r = body.n_modes
-    view = _camera(model, camera, states[:, :3], scene, size[1] / size[0])
-    with Offscreen(model, *size) as offscreen:
-        offscreen.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera != MAP  # to scale
-        for index in indices:
-            data.time = index * timestep
-            data.qpos[:], data.qvel[:] = states[index, : 7 + r], states[index, 7 + r : 13 + 2 * r]
-            if scene is not None:
-                set_scene(model, data, scene)
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_camlight(model, data)
-            way = states[: index + 1, :3] if trail else None
-            motes = None
-            if LOOKS[space].motes and camera not in (MAP, OVERVIEW):
-                motes = motes_around(states[index, :3])
-            yield offscreen.picture(data, view, way, _TRAIL_RADIUS.get(camera, 0.012), motes)
+@dataclass(frozen=True, eq=False)
+class _Film:
+    """Pictures of states by one camera."""
+
+    model: mujoco.MjModel
+    states: np.ndarray
+    scene: Scene | None
+    timestep: float
+    camera: str
+    quality: Quality
+    trail: bool
+    length: float
+    walks: bool
+
+    def frames(
+        self, indices: Sequence[int], caption: Caption | None, progress: Progress
+    ) -> Iterator[np.ndarray]:
+        """Yield the pictures of some of the states."""
+        model, states, scene = self.model, self.states, self.scene
+        data = mujoco.MjData(model)
+        near = self.camera not in (MAP, OVERVIEW)
+        look = LOOKS[PLANE.name if scene is None else scene.space]
+        width, height = self.quality.size
+        if scene is None:
+            model.site_rgba[:, 3] = 0
+            model.site_matid[:] = -1
+        model.vis.quality.offsamples = self.quality.samples
+        self._aim_shadows(near)
+        nq = model.nq
+        view = _camera(model, self.camera, states[:, :3], scene, height / width)
+        headings = self._headings() if self.camera == SIDE and look.side_turns else None
+        with Offscreen(model, width, height) as offscreen:
+            # near swimmers cast theirs far below, and specks on themselves: a soft spot does
+            shadows = self.walks if near else self.camera != MAP and self.quality.shadows
+            offscreen.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
+            for number, index in enumerate(indices):
+                progress("drawing", number / len(indices))
+                x = states[index]
+                data.time = index * self.timestep
+                data.qpos[:], data.qvel[:] = x[:nq], x[nq : nq + model.nv]
+                if scene is not None:
+                    set_scene(model, data, scene)
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_comPos(model, data)
+                mujoco.mj_camlight(model, data)
+                if headings is not None:
+                    _beside(view, x[:3], headings[index], 1.93 * self.length)
+                below = x[2] + FLOOR_DEPTH
+                floor = x[:3] + below * SUN / -SUN[2] + [0, 0, 0.01]
+                yield offscreen.picture(
+                    *(data, view),
+                    trail=states[: index + 1, :3] if self.trail else None,
+                    trail_radius=_TRAIL_RADIUS.get(self.camera, 0.0),
+                    motes=motes_around(x[:3]) if look.motes and near else None,
+                    target=None if scene is None else scene.target,
+                    shadow=floor if look.sea_bed and near and not self.walks else None,
+                    caption=("", "") if caption is None else caption(int(index)),
+                )
+        progress("drawing", 1.0)
+
+    def _aim_shadows(self, near: bool) -> None:
+        """Let the map of shadows cover what is seen, and no more: where it is coarse, shadows are torn."""
+        model, reach = self.model, 9.0  # its rim is grainy on the floor
+        if not near:
+            seen = [self.states[:, :3]] + ([] if self.scene is None else [self.scene.centres])
+            reach = 60.0 + max(
+                float(np.linalg.norm(p - self.states[-1, :3], axis=1).max(initial=0)) for p in seen
+            )
+        model.vis.map.shadowclip = reach / model.stat.extent
+        if not self.quality.shadows:
+            model.vis.quality.shadowsize = 1024
+
+    def _headings(self) -> np.ndarray:
+        """Return the headings (n,) of the states, rad, without what a stroke turns the body to and fro."""
+        heading = np.unwrap(rotations.heading(rotations.matrix(self.states[:, 3:7])))
+        half = round(0.5 * _TURNING_SECONDS / self.timestep)
+        padded = np.pad(heading, half, mode="edge")
+        return np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), mode="valid")
+
+
+def _beside(camera: mujoco.MjvCamera, place: np.ndarray, heading: float, distance: float) -> None:
+    """Aim a free camera at a place from the right of a heading (rad), that far away (m)."""
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.lookat = place
+    camera.azimuth, camera.elevation = 90.0 + np.degrees(heading), -10.0
+    camera.distance = distance
 
 
 def _camera(
@@ -272,14 +430,24 @@ def _write(frames: Iterator[np.ndarray], path: Path, fps: float, still: bool) ->
     with files.atomic_path(path) as temporary:
         if still:
             imageio.imwrite(temporary, next(frames))
-            return
-        options: dict[str, Any] = {"fps": fps}
-        if path.suffix.lower() != ".gif":
-            options |= {"quality": 8, "macro_block_size": 2}
-        writer: Any
-        with imageio.get_writer(temporary, **options) as writer:
-            for frame in frames:
-                writer.append_data(frame)
+        elif path.suffix.lower() == ".mp4":
+            options: dict[str, Any] = {"quality": 8, "macro_block_size": 2}
+            options["output_params"] = ["-preset", "veryfast"]
+            writer: Any
+            with imageio.get_writer(temporary, fps=fps, **options) as writer:
+                for frame in frames:
+                    writer.append_data(frame)
+        else:  # all pictures at once: for some seconds, as on a page
+            first, *others = map(Image.fromarray, frames)
+            first.save(
+                temporary,
+                path.suffix[1:].lower(),
+                save_all=True,
+                append_images=others,
+                duration=round(1000 / fps),
+                loop=0,
+                quality=60,
+            )
 
 
 def _open_context(width: int, height: int):

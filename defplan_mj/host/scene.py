@@ -15,7 +15,15 @@ from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain, pack_terrain
 from defplan_mj.host import skin
 from defplan_mj.host.ground import add_terrain
-from defplan_mj.host.looks import DRAWN_HALF_HEIGHT, DRAWN_HEIGHT, LOOKS, Look
+from defplan_mj.host.looks import (
+    DRAWN_HALF_HEIGHT,
+    DRAWN_HEIGHT,
+    LOOKS,
+    MEADOW,
+    SEA,
+    Look,
+    Surroundings,
+)
 from defplan_mj.host.plugin import NAME as PLUGIN
 from defplan_mj.host.plugin import load_plugin
 from defplan_mj.kernel.pack import StepOptions, pack_body, pack_options
@@ -25,6 +33,7 @@ ROOT = "root"
 TARGET = "target"
 TERRAIN = "defplan_terrain"
 FLOOR_DEPTH = 4.0  # m below the start
+SUN = np.array([0.18, 0.12, -0.975])  # where its light goes
 SOLID_HALF_HEIGHT = (
     20.0  # m, of upright cylinders: swimmers drift up and down, the problem is planar
 )
@@ -81,8 +90,9 @@ def build_spec(
     spec.option.timestep = timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.nuser_body = 3  # velocity of a mocap obstacle
-    _add_looks(spec)
-    _add_chequer(spec)
+    around = SEA if terrain is None else MEADOW
+    _add_looks(spec, around)
+    _add_chequer(spec, around)
     if terrain is not None:
         spec.add_numeric(name=TERRAIN, data=pack_terrain(terrain, body))
         add_terrain(spec, terrain, "grid")
@@ -113,6 +123,11 @@ def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
         return spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise DefplanError(f"MuJoCo cannot build the model {spec.modelname}: {error}") from error
+
+
+def view_length(body: Body) -> float:
+    """Return how long a slender body would be that fills a picture as this one does, m."""
+    return float(np.linalg.norm(np.ptp(body.vertices, axis=0))) / 1.06
 
 
 def text_of(model: mujoco.MjModel, name: str) -> str:
@@ -189,24 +204,26 @@ def _add_robot(
         ).plugin = plugin
     spec.add_sensor(name="clearance", type=mujoco.mjtSensor.mjSENS_PLUGIN).plugin = plugin
 
-    length = body.length
+    length = view_length(body)
     track = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
-    # Cameras go along with the robot but do not turn with it, so that it may turn over.
+    # Cameras go along with the robot but do not turn with it, so that it may turn over; the one at its
+    # side turns with it where it stays upright.
+    turning = mujoco.mjtCamLight.mjCAMLIGHT_FIXED if look.side_turns else track
     views = {
-        "chase": ([-1.25, -1.75, 1.0], [0.814, -0.581, 0, 0.246, 0.345, 0.906], 45),
-        "side": ([0, -1.9, 0.35], [1, 0, 0, 0, 0.18, 0.98], 45),
-        "top": (look.top[0], [1, 0, 0, 0, 1, 0], look.top[1]),
+        "chase": ([-0.84, -1.17, 0.67], [0.814, -0.581, 0, 0.246, 0.345, 0.906], 45, track),
+        "side": ([0, -1.9, 0.35], [1, 0, 0, 0, 0.18, 0.98], 45, turning),
+        "top": (look.top[0], [1, 0, 0, 0, 1, 0], look.top[1], track),
     }
-    for name, (place, axes, angle) in views.items():
+    for name, (place, axes, angle, mode) in views.items():
         pos = length * np.array(place)
-        robot.add_camera(name=name, mode=track, pos=pos, xyaxes=axes, fovy=angle)
+        robot.add_camera(name=name, mode=mode, pos=pos, xyaxes=axes, fovy=angle)
     # above the robot wherever it goes, so that the shadow map need not cover the whole world
     robot.add_light(
         name="sun",
         mode=track,
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
         pos=[0, 0, 8],
-        dir=[0.18, 0.12, -0.975],
+        dir=SUN,
         diffuse=[0.75, 0.75, 0.7],
         specular=[0.25, 0.25, 0.25],
         castshadow=look.shadows,
@@ -233,7 +250,7 @@ def _add_obstacle(spec: mujoco.MjSpec, index: int) -> None:
     )
 
 
-def _add_looks(spec: mujoco.MjSpec) -> None:
+def _add_looks(spec: mujoco.MjSpec, around: Surroundings) -> None:
     """Add light, water and the materials that dm_control's reward colours want."""
     spec.stat.extent = 3
     spec.stat.center = [0, 0, 0]
@@ -248,21 +265,21 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     visual.quality.offsamples = 8
     visual.global_.offwidth = 1920
     visual.global_.offheight = 1080
-    visual.rgba.haze = [0.36, 0.62, 0.71, 1]
+    visual.rgba.haze = [*around.haze, 1]
 
     spec.add_texture(
         name="skybox",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.62, 0.83, 0.88],
-        rgb2=[0.16, 0.42, 0.55],
+        rgb1=around.sky[0],
+        rgb2=around.sky[1],
         width=256,
         height=256,
     )
     colours = {
         "self": ([1, 1, 1, 1], [0.7, 1, 0.7, 1]),
         "effector": ([0.7, 0.4, 0.2, 1], [0, 0.5, 0.3, 1]),
-        "target": ([0.25, 0.85, 0.35, 0.35], [0.45, 1, 0.45, 0.6]),
+        "target": ([0.90, 0.22, 0.17, 0.30], [1, 0.45, 0.35, 0.6]),
     }
     for name, (plain, highlight) in colours.items():
         if name != "self":  # the skin makes that one, with its picture
@@ -271,18 +288,18 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
         spec.add_material(name=f"{name}_highlight", rgba=highlight)
 
 
-def _add_chequer(spec: mujoco.MjSpec) -> None:
+def _add_chequer(spec: mujoco.MjSpec, around: Surroundings) -> None:
     """Add the material of the ground."""
     spec.add_texture(
         name="grid",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.20, 0.45, 0.55],
-        rgb2=[0.24, 0.51, 0.60],
+        rgb1=around.floor[0],
+        rgb2=around.floor[1],
         width=256,
         height=256,
         mark=mujoco.mjtMark.mjMARK_EDGE,
-        markrgb=[0.28, 0.55, 0.64],
+        markrgb=around.floor[2],
     )
     textures = [""] * mujoco.mjtTextureRole.mjNTEXROLE.value
     textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "grid"

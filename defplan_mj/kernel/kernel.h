@@ -72,6 +72,9 @@ typedef struct {
  * be asked before anything else is called. */
 DP_API const char* dp_missing_instructions(void);
 
+/* The target it was compiled for, a hash of sources and options, the compiler. */
+DP_API const char* dp_build(void);
+
 /* 0 if blob holds a body of this version in n doubles, else a negative code. */
 DP_API int dp_check(const double* blob, size_t n);
 /* 0 if all that the model names belongs together and every number of it can be; else a negative

@@ -95,6 +95,26 @@ def check_machine(lib: ctypes.CDLL) -> None:
         )
 
 
+def build() -> str:
+    """Return what the kernel was built for and of: target, hash of sources and options, compiler.
+
+    Raises:
+        DefplanError: it was not built.
+    """
+    library = _open()
+    library.dp_build.restype = c_char_p
+    return library.dp_build().decode()
+
+
+def _open() -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(PATH))
+    except OSError as error:
+        raise DefplanError(
+            f"the compiled kernel {PATH} is missing: reinstall defplan with a C compiler"
+        ) from error
+
+
 @cache
 def kernel() -> ctypes.CDLL:
     """Return the kernel's library.
@@ -102,12 +122,7 @@ def kernel() -> ctypes.CDLL:
     Raises:
         DefplanError: it was not built, or for another kind of machine.
     """
-    try:
-        lib = ctypes.CDLL(str(PATH))
-    except OSError as error:
-        raise DefplanError(
-            f"the compiled kernel {PATH} is missing: reinstall defplan with a C compiler"
-        ) from error
+    lib = _open()
     check_machine(lib)
     a, p = _array, _pointer
     m = p(Model)

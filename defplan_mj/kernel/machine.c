@@ -2,6 +2,29 @@
  * is compiled for the least machine of its kind, so that it runs where the rest would not. */
 #include "kernel.h"
 
+/* What the library was compiled for and of (setup.py): text, which any machine can tell. */
+#ifndef DP_BUILD
+#define DP_BUILD "unknown"
+#endif
+#if defined(__clang__)
+#define COMPILER "clang "
+#elif defined(__GNUC__)
+#define COMPILER "gcc "
+#else
+#define COMPILER "cc "
+#endif
+#ifdef __VERSION__
+#define COMPILER_VERSION __VERSION__
+#else
+#define COMPILER_VERSION ""
+#endif
+#if defined(__x86_64__) && defined(__GNUC__)
+__attribute__((target("arch=x86-64")))
+#endif
+const char* dp_build(void) {
+  return DP_BUILD ", " COMPILER COMPILER_VERSION;
+}
+
 #if defined(__x86_64__) && defined(__GNUC__)
 __attribute__((target("arch=x86-64"), noinline)) static const char* missing(void) {
   __builtin_cpu_init();

@@ -15,6 +15,8 @@ from defplan_mj.base.space import PLANE, SPACE, SPACES
 from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.log.reader import EpisodeLog, read_log
 
+FARTHEST_CLEARANCE = 1.0  # m; where the host's distance query (CUTOFF in host/plugin.c) saturates
+
 SETTLING = 3
 """Cycles in which a body that starts at rest gets up to speed; the surrogate knows the first and full speed."""
 
@@ -199,7 +201,7 @@ class Comparison:
                 _text(episode.travelled),
                 _text(episode.drift),
                 _text(episode.turning_drift, TURNING[self.space].signed),
-                _text(episode.clearance) if np.isfinite(episode.clearance) else "-",
+                clearance_text(episode.clearance),
                 _text(episode.reward),
             ]
             for episode in self.episodes
@@ -319,8 +321,8 @@ def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
     return {
         "cycle": rows,
         "start": log.time[log.cycle_steps[rows]],
-        "predicted": _into_frame(predicted[:, :3] - start[:, :3], frame),
-        "truth": _into_frame(end[:, :3] - start[:, :3], frame),
+        "predicted": into_frame(predicted[:, :3] - start[:, :3], frame),
+        "truth": into_frame(end[:, :3] - start[:, :3], frame),
         "turning": _turning(end, predicted, log.space),
     }
 
@@ -342,7 +344,7 @@ def _episode(log: EpisodeLog, rows: np.ndarray) -> LoggedEpisode:
     )
 
 
-def _into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
+def into_frame(vectors: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """Return world vectors (m, 3) as seen in frames (m, 3, 3)."""
     return np.einsum("nji,nj->ni", frames, vectors)
 
@@ -360,6 +362,13 @@ def _figures(values: np.ndarray, sizes: np.ndarray) -> dict[str, float | None]:
         "sd": float(values.std(ddof=1)) if len(values) > 1 else None,
         "p95": float(np.percentile(sizes, 95)) if len(values) else None,
     }
+
+
+def clearance_text(clearance: float) -> str:
+    """Return a smallest clearance (m) for people: the query looks no farther than `FARTHEST_CLEARANCE`."""
+    if not np.isfinite(clearance):
+        return "-"
+    return "at least 1" if clearance >= FARTHEST_CLEARANCE else _text(clearance)
 
 
 def _number(value: float) -> float | None:

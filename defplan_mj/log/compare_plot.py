@@ -16,6 +16,7 @@ from defplan_mj.log.plotting import (
     PATH,
     SERIES,
     draw_triad,
+    label_of,
     new_figure,
     styled,
     view,
@@ -72,7 +73,7 @@ def draw_displacements(axes: Axes, comparison: Comparison, plane: np.ndarray) ->
         plane: (2, 3) what of a displacement goes to the right and up.
     """
     for k in gaits_used(comparison):
-        colour, name = SERIES[k % len(SERIES)], comparison.task_names[k]
+        colour, name = SERIES[k % len(SERIES)], label_of(comparison.task_names[k])
         some = comparison.gait == k
         for which, face in ((comparison.settled, colour), (~comparison.settled, "none")):
             truth = comparison.truth[some & which] @ plane.T
@@ -107,7 +108,7 @@ def draw_chained(axes: Axes, comparison: Comparison) -> None:
     axes.plot(*chained.T, color=INK, ls="--", lw=1.1, label="surrogate, chained")
     ends = np.stack([truth[-1], chained[-1]])
     axes.plot(*ends.T, color=FAINT, lw=0.8, label=f"drift {episode.drift:.2f} m")
-    axes.set(xlabel="x (m)", ylabel="y (m)", title=f"Path of {episode.path.stem}")
+    axes.set(xlabel="x (m)", ylabel="y (m)", title=f"Path of {label_of(episode.path.stem)}")
     axes.set_aspect("equal", adjustable="datalim")
     if spatial:
         draw_triad(axes, seen, 0.25 * float(np.ptp(truth, axis=0).max()))
@@ -147,7 +148,10 @@ def _draw_errors(axes: Axes, comparison: Comparison, errors: np.ndarray, label: 
             axes.scatter(
                 sample[which], height[which], s=9, c=face, edgecolors=colour, lw=0.6, alpha=0.5
             )
-    names = [f"{comparison.task_names[k]} ({len(s)})" for k, s in zip(used, samples, strict=True)]
+    names = [
+        f"{label_of(comparison.task_names[k])} ({len(s)})"
+        for k, s in zip(used, samples, strict=True)
+    ]
     axes.set_yticks(range(1, len(used) + 1), names)
     axes.invert_yaxis()
     axes.axvline(0, color=FAINT, lw=0.8)

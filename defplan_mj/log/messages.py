@@ -58,13 +58,24 @@ def scene_update(scene: Scene, nanoseconds: int) -> bytes:
     return message.SerializeToString()
 
 
-def laser_scan(x: np.ndarray, ranges: Sequence[float] | np.ndarray, nanoseconds: int) -> bytes:
+def laser_scan(
+    x: np.ndarray,
+    ranges: Sequence[float] | np.ndarray,
+    nanoseconds: int,
+    seen: np.ndarray | None = None,
+) -> bytes:
     """Return a scan at the centre of mass of state x.
 
     Beams go once around in the horizontal plane, counterclockwise; the first points where the body
-    heads (its x axis, projected).
+    heads (its x axis, projected). Those that met nothing are infinite, so that no viewer draws a
+    wall at the laser's range.
+
+    Args:
+        seen: (beams,) which of them met something; None: all.
     """
     ranges = np.asarray(ranges, float)
+    if seen is not None:
+        ranges = np.where(seen, ranges, np.inf)
     w, _, _, z = rotations.level_attitude(rotations.quaternion_heading(x[3:7]))
     turn = Quaternion(w=w, z=z)
     return LaserScan(
@@ -82,9 +93,9 @@ def reading_message(
 ) -> tuple[str, bytes]:
     """Return topic and message that show a reading at state x."""
     sensor = sensor_of(navigation)
-    if sensor.name == PLANE.sensor:
-        return channels.LASER, laser_scan(x, reading, nanoseconds)
     points, there = sensor.points(np.asarray(reading, float), navigation)
+    if sensor.name == PLANE.sensor:
+        return channels.LASER, laser_scan(x, reading, nanoseconds, there)
     distance = reading if isinstance(sensor, Laser) else np.linalg.norm(points, axis=1)
     cloud = sensed_points(x, points[there], distance[there], nanoseconds)
     return channels.LASER_POINTS, cloud

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.printable import printable
 
 INK, FAINT = "#2b2f33", "#9aa1a8"
 PATH, OBSTACLE, TARGET, BODY = "#2e8b57", "#4a6fb5", "#c8392b", "#1f7a8c"
@@ -40,6 +41,11 @@ STYLE: Any = {
     "savefig.facecolor": "white",
     "svg.hashsalt": "defplan",  # the same figure gives the same file
 }
+
+
+def label_of(text: str) -> str:
+    """Return a name as matplotlib can draw it, whatever is in it: no formula, nothing that steers."""
+    return printable(text).replace("\\", "\\\\").replace("$", r"\$")
 
 
 styled = matplotlib.rc_context(STYLE)
@@ -88,11 +94,13 @@ def note(axes: Axes, text: str) -> None:
 
 
 @styled
-def render_figure(figure: Figure, kind: str = "png", dpi: int = 150) -> bytes:
-    """Return a figure as the bytes of a PNG, SVG or PDF."""
+def render_figure(
+    figure: Figure, kind: str = "png", dpi: int = 150, transparent: bool = False
+) -> bytes:
+    """Return a figure as the bytes of a PNG, SVG or PDF, on white or on nothing."""
     stream = BytesIO()
     dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-    figure.savefig(stream, format=kind, dpi=dpi, metadata=dates.get(kind))
+    figure.savefig(stream, format=kind, dpi=dpi, metadata=dates.get(kind), transparent=transparent)
     return stream.getvalue()
 
 

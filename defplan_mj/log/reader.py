@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import struct
-import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from io import BytesIO
@@ -19,28 +17,40 @@ from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Message, Metadata
-from mcap.stream_reader import breakup_chunk
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 
+from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.reading import Packed, first_line, parse_json, read_bytes
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain, terrain_of
 from defplan_mj.gait.gait import Gait
-from defplan_mj.log import channels, schemas
+from defplan_mj.kernel.pack import MAX_SUBSTEPS
+from defplan_mj.log import bounds, channels, schemas, validate
 from defplan_mj.log.messages import contacts_of
 from defplan_mj.planning.scenes import Scene
 from defplan_mj.planning.surrogate import Surrogate
 
 _MAGIC = b"\x89MCAP0\r\n"
-_LARGEST_CHUNK = 1 << 30
+_MOST_HEIGHTS = 10_000_000  # numbers of a terrain
+_MESSAGE = struct.Struct("<HIQQ")
+_OF_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_LOOKED_INTO = (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.CHUNK, *_OF_CHUNKS)
+_NEEDED_RECORDS = (schemas.IDENTITY_RECORD, schemas.CONFIGURATION_RECORD)
+_EVERY_STEP = frozenset([channels.TARGET_SHAPE, channels.CONTACTS])
+_EVERY_CYCLE = frozenset([channels.VALUES, channels.REWARD, channels.RANGES])
 _DAMAGE = (
     McapError,
     DecodeError,
     zstandard.ZstdError,
     struct.error,
     ValueError,
-    KeyError,
-    IndexError,
+    LookupError,
+    ArithmeticError,
+    RuntimeError,  # of lz4
+    TypeError,
+    AttributeError,
+    EOFError,
     MemoryError,
 )
 
@@ -49,7 +59,7 @@ class _Saved(Protocol):
     """A part of a run that is loaded from its own file."""
 
     @classmethod
-    def load(cls, path: str | Path) -> Any: ...
+    def load(cls, path: files.Source) -> Any: ...
 
 
 _Part = TypeVar("_Part", bound=_Saved)
@@ -102,6 +112,9 @@ class EpisodeLog:
         contacts: of the steps that they were logged at; empty if nothing ever pushes.
         numbers: topic -> number of the step -> numbers, of all channels of labelled numbers; see
             `channel`.
+        first: number of the step that led to state 0: not 0 if the log's beginning was filtered out.
+        first_cycle: number of the first cycle; not 0 then, either.
+        missing: topics that were filtered out; above, their numbers are NaN, or there are no columns.
     """
 
     path: Path
@@ -129,6 +142,9 @@ class EpisodeLog:
     surrogate_pose: np.ndarray
     contacts: tuple[LoggedContacts, ...] = ()
     numbers: dict[str, dict[int, np.ndarray]] = field(default_factory=dict, repr=False)
+    first: int = 0
+    first_cycle: int = 0
+    missing: tuple[str, ...] = ()
 
     @property
     def space(self) -> str:
@@ -142,25 +158,33 @@ class EpisodeLog:
 
     @cached_property
     def body(self) -> Body:
-        """The attached body. Raises DefplanError if the log has none."""
-        return self._part(Body, "body.npz")
+        """The attached body. Raises DefplanError if the log has none, or another than the one that moved."""
+        body = self._part(Body, "body.npz")
+        validate.check_body(self, body.hash)
+        return body
 
     @cached_property
     def gait(self) -> Gait:
         """The attached gait. Raises DefplanError if the log has none."""
-        return self._part(Gait, "gait.npz")
+        gait = self._part(Gait, "gait.npz")
+        validate.check_body(self, gait.body_hash)
+        return gait
 
     @cached_property
     def surrogate(self) -> Surrogate:
         """The attached surrogate. Raises DefplanError if the log has none."""
-        return self._part(Surrogate, "surrogate.npz")
+        surrogate = self._part(Surrogate, "surrogate.npz")
+        validate.check_body(self, surrogate.body_hash)
+        return surrogate
 
     @cached_property
     def terrain(self) -> Terrain | None:
         """What the body walks on; None: it swims."""
         if "terrain.json" not in self.attachments:
             return None
-        return terrain_of(json.loads(self.attachments["terrain.json"]))
+        name = f"terrain.json of log {self.path}"
+        with files.fields_of(Packed(name, b""), "terrain"):
+            return terrain_of(parse_json(self.attachments["terrain.json"], _MOST_HEIGHTS))
 
     def channel(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the steps (k,) and numbers (k, n) of a channel of labelled numbers.
@@ -171,7 +195,7 @@ class EpisodeLog:
         if topic not in self.numbers:
             there = ", ".join(sorted(self.numbers))
             raise DefplanError(f"log {self.path} has no numbers in {topic}: there are {there}")
-        rows = self.numbers[topic]
+        rows = dict(sorted(self.numbers[topic].items()))
         return np.array(list(rows), int), np.array(list(rows.values()))
 
     @property
@@ -182,15 +206,7 @@ class EpisodeLog:
     def _part(self, kind: type[_Part], name: str) -> _Part:
         if name not in self.attachments:
             raise DefplanError(f"log {self.path} holds no {name}")
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / name
-            path.write_bytes(self.attachments[name])
-            try:
-                return kind.load(path)
-            except DefplanError as error:
-                raise DefplanError(
-                    f"in log {self.path}: {str(error).replace(str(path), name)}"
-                ) from error
+        return kind.load(Packed(f"{name} of log {self.path}", self.attachments[name]))
 
 
 def _needed() -> dict[str, Any]:
@@ -210,6 +226,8 @@ class _Contents:
     fault: str = ""
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
+    episodes: int = 1
+    schemas: dict[int, str] = field(default_factory=dict)
     topics: dict[int, str] = field(default_factory=dict)
     needed: dict[str, Any] = field(default_factory=_needed)
     messages: dict[str, list[tuple[int, float, Any]]] = field(default_factory=dict)
@@ -222,15 +240,10 @@ def read_log(path: str | Path) -> EpisodeLog:
         DefplanError: it is missing, not a log of ours, of another version, or cut before its first step.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError as error:
-        raise DefplanError(f"log {path} does not exist") from error
-    except OSError as error:
-        raise DefplanError(f"cannot read log {path}: {error.strerror}") from error
+    data = read_bytes(path, "log", bounds.MOST_BYTES)
     if data[: len(_MAGIC)] != _MAGIC[: len(data)]:
         raise DefplanError(f"{path} is not an MCAP log")
-    contents = _Contents()
+    contents, budget = _Contents(), bounds.Budget.of(len(data))
     end = len(_MAGIC)
     try:
         for position, opcode, record in _records(data):
@@ -238,8 +251,12 @@ def read_log(path: str | Path) -> EpisodeLog:
             # (a checksum of 0 means that its writer made none)
             if opcode == Opcode.DATA_END and _number(record) not in (0, zlib.crc32(data[:end])):
                 raise ValueError("the data do not match their checksum")
-            _take(contents, opcode, record)
+            budget.look()
+            if opcode in _LOOKED_INTO:
+                _take(contents, opcode, record, budget)
             end = position + 9 + len(record)
+    except bounds.TooMuch as error:
+        contents.fault = f"not read from byte {end} on ({error})"
     except _DAMAGE:
         contents.fault = f"damaged at byte {end}"
     if not contents.fault and data[end:] != _MAGIC:
@@ -248,8 +265,9 @@ def read_log(path: str | Path) -> EpisodeLog:
         contents.fault = "stopped before the episode ended"
     try:
         return _in_order(path, contents)
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
-        raise DefplanError(f"log {path} is damaged: record it anew") from error
+    except files.WRONG_FIELDS as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else first_line(error)
+        raise DefplanError(f"log {path} is damaged ({what}): record it anew") from error
 
 
 def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
@@ -266,32 +284,64 @@ def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
         position = stop
 
 
-def _take(contents: _Contents, opcode: int, record: bytes) -> None:
+def _take(contents: _Contents, opcode: int, record: bytes, budget: bounds.Budget) -> None:
     """Keep what a record says, if we need it."""
+    budget.look(10)
     stream = ReadDataStream(BytesIO(record))
     if opcode == Opcode.METADATA:
         metadata = Metadata.read(stream)
-        contents.metadata[metadata.name] = metadata.metadata
+        kept = contents.metadata.setdefault(metadata.name, metadata.metadata)
+        if metadata.name == schemas.CONFIGURATION_RECORD and kept != metadata.metadata:
+            contents.episodes += 1
     elif opcode == Opcode.ATTACHMENT:
-        if zlib.crc32(record[:-4]) != _number(record[-4:]):
+        if _number(record[-4:]) not in (0, zlib.crc32(record[:-4])):
             raise ValueError("attachment does not match its checksum")
         attachment = Attachment.read(stream)
         contents.attachments[attachment.name] = attachment.data
+    elif opcode in _OF_CHUNKS:
+        _keep(contents, record, [(opcode, 0, len(record))], budget)
     elif opcode == Opcode.CHUNK:
-        chunk = Chunk.read(stream)
-        if chunk.uncompressed_size > _LARGEST_CHUNK:
-            raise ValueError("chunk claims an impossible size")
-        # all of a chunk or nothing: the arrays below grow by whole chunks only
-        taken: list[tuple[str, int, float, Any]] = []
-        for item in breakup_chunk(chunk, validate_crc=True):
-            if isinstance(item, Channel):
-                contents.topics[item.id] = item.topic
-            elif isinstance(item, Message) and contents.topics[item.channel_id] in contents.needed:
-                topic = contents.topics[item.channel_id]
-                content = contents.needed[topic].FromString(item.data)
-                taken.append((topic, item.sequence, item.log_time * 1e-9, content))
-        for topic, *message in taken:
-            contents.messages.setdefault(topic, []).append(tuple(message))
+        data = bounds.unpack(Chunk.read(stream), budget)
+        _keep(contents, data, bounds.records(data, budget), budget)
+
+
+def _keep(
+    contents: _Contents, data: bytes, records: Iterable[tuple[int, int, int]], budget: bounds.Budget
+) -> None:
+    """Keep the messages that we need: all of a chunk or nothing, as the arrays grow by whole chunks.
+
+    Args:
+        data: a chunk's, or one record.
+        records: opcode, start and end of the content of each record in it.
+    """
+    taken: list[tuple[str, int, float, Any]] = []
+    for kind, start, stop in records:
+        if kind == Opcode.MESSAGE:
+            number, sequence, time, _ = _MESSAGE.unpack_from(data, start)
+            topic = contents.topics[number]
+            if topic in contents.needed:
+                budget.keep(stop - start)
+                content = contents.needed[topic].FromString(data[start + _MESSAGE.size : stop])
+                taken.append((topic, sequence, time * 1e-9, content))
+        elif kind in _OF_CHUNKS:
+            budget.look(20)
+            stream = ReadDataStream(BytesIO(data[start:stop]))
+            if kind == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                contents.schemas[schema.id] = schema.name
+            else:
+                channel = Channel.read(stream)
+                contents.topics[channel.id] = channel.topic if _ours(contents, channel) else ""
+    for topic, *message in taken:
+        contents.messages.setdefault(topic, []).append(tuple(message))
+
+
+def _ours(contents: _Contents, channel: Channel) -> bool:
+    """Whether a channel holds what we write under its topic: a merged file may use the name, too."""
+    if channel.topic not in contents.needed:
+        return False
+    name = contents.needed[channel.topic].DESCRIPTOR.full_name
+    return contents.schemas.get(channel.schema_id, name) == name
 
 
 def _number(four: bytes) -> int:
@@ -301,12 +351,24 @@ def _number(four: bytes) -> int:
 def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
     """Make arrays of what was found."""
     identity = contents.metadata.get(schemas.IDENTITY_RECORD)
+    cut = contents.fault.startswith(("cut", "damaged", "not read"))
+    if not cut and channels.STATE in contents.messages:
+        lost = [name for name in _NEEDED_RECORDS if name not in contents.metadata]
+        if lost:
+            raise DefplanError(
+                f"log {path} has lost its metadata {' and '.join(map(repr, lost))}: a tool that "
+                "filters must be told to keep metadata and attachments"
+            )
     if identity is None:
-        if contents.fault.startswith(("cut", "damaged")):
+        if cut:
             raise DefplanError(
                 f"log {path} holds no step of its episode ({contents.fault}): record it anew"
             )
         raise DefplanError(f"{path} is an MCAP file, but not a log of this program")
+    if contents.episodes > 1:
+        raise DefplanError(
+            f"{path} is merged of several logs, whose steps cannot be told apart: read each of them"
+        )
     if identity.get("format") != str(schemas.FORMAT_VERSION):
         raise DefplanError(
             f"{path} has log format {identity.get('format')}, this version reads "
@@ -318,31 +380,41 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         if contents.needed[topic] is schemas.LabelledNumbers
     }
     states = numbers.get(channels.STATE, {})
+    if not states and not cut and contents.messages:
+        raise DefplanError(
+            f"log {path} has no messages in {channels.STATE}: keep them in filtering"
+        )
     if not states or schemas.CONFIGURATION_RECORD not in contents.metadata:
         raise DefplanError(
             f"log {path} holds no step of its episode ({contents.fault}): record it anew"
         )
-    configuration = json.loads(contents.metadata[schemas.CONFIGURATION_RECORD]["json"])
-    scene = configuration.pop("scene")
-    names = ("target", "centres", "radii", "velocities", "orientation")
-    arrays = {name: np.array(scene[name], float) for name in names}
-    arrays = {
-        k: a.reshape(-1, 3) if k in ("centres", "velocities") else a for k, a in arrays.items()
-    }
+    configuration = parse_json(contents.metadata[schemas.CONFIGURATION_RECORD]["json"])
+    if not isinstance(configuration, dict):
+        raise ValueError("the configuration is no object")
+    scene = validate.scene_of(configuration.pop("scene"))
+    validate.check_navigation(configuration)
 
-    shapes = numbers.get(channels.TARGET_SHAPE, {})
-    contacts = numbers.get(channels.CONTACTS, {})
+    first = min(states)
+    missing = () if cut or len(states) == 1 else tuple(sorted(_EVERY_STEP - numbers.keys()))
+    parts = [states, *(numbers.get(topic, {}) for topic in _EVERY_STEP.difference(missing))]
     steps = 0  # up to the first one that misses something
-    while all(steps + 1 in part for part in (states, shapes, contacts)):
+    while all(first + steps + 1 in part for part in parts):
         steps += 1
-    fault = contents.fault
     ending = contents.metadata.get(schemas.END_RECORD, {})
-    if not fault and steps != int(ending.get("steps", -1)):
+    fault = contents.fault
+    if not fault and first:
+        fault = f"without its first {first} steps"
+    if not fault and steps != validate.whole_number(ending, "steps", 0, validate.MOST_STEPS):
         fault = f"incomplete: {steps} of {ending.get('steps')} steps are there"
-    modes = int(identity["modes"])
-    taken = range(1, steps + 1)
+    modes = validate.whole_number(identity, "modes", 1, validate.MOST_MODES)
+    taken = range(first + 1, first + steps + 1)
+    shapes, contacts = numbers.get(channels.TARGET_SHAPE, {}), numbers.get(channels.CONTACTS, {})
+    cycles, lost_cycles = _cycles(contents, numbers, first, steps, cut)
+    missing += lost_cycles
+    if not fault and missing:
+        fault = f"filtered: without {', '.join(missing)}"
     times = {sequence: time for sequence, time, _ in contents.messages[channels.STATE]}
-    return EpisodeLog(
+    log = EpisodeLog(
         path=path,
         fault=fault,
         outcome=ending.get("outcome", ""),
@@ -350,49 +422,68 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         task=identity["task"],
         seed=identity["seed"],
         body_hash=identity["body_hash"],
-        timestep=float(identity["timestep"]),
+        timestep=validate.positive(identity, "timestep"),
         stepping={
-            "substeps": int(identity["substeps"]),
+            "substeps": validate.whole_number(identity, "substeps", 1, MAX_SUBSTEPS),
             "integrator": identity["integrator"],
         },
         configuration=configuration,
         versions=contents.metadata.get(schemas.VERSIONS_RECORD, {}),
         attachments=contents.attachments,
-        scene=Scene(**{**scene, **arrays}),
-        time=np.array([times[i] for i in range(steps + 1)]),
-        states=np.array([states[i] for i in range(steps + 1)]),
-        target_shapes=np.array([shapes[i] for i in taken]).reshape(steps, modes),
-        clearance=np.array([contacts[i][0] for i in taken]),
+        scene=scene,
+        time=np.array([times[first + i] for i in range(steps + 1)]),
+        states=np.array([states[first + i] for i in range(steps + 1)]),
+        target_shapes=np.array([shapes.get(i, np.full(modes, np.nan)) for i in taken]).reshape(
+            steps, modes
+        ),
+        clearance=np.array([contacts.get(i, [np.nan])[0] for i in taken], float),
         contacts=tuple(
-            LoggedContacts(sequence, *contacts_of(message))
-            for sequence, _, message in contents.messages.get(channels.FORCES, [])
-            if sequence <= steps
+            LoggedContacts(sequence - first, *contacts_of(message))
+            for sequence, _, message in sorted(
+                contents.messages.get(channels.FORCES, []), key=lambda message: message[0]
+            )
+            if sequence <= first + steps
         ),
         numbers=numbers,
-        **_cycles(contents, numbers, steps),
+        first=first,
+        missing=missing,
+        **cycles,
     )
+    validate.validate_log(log, modes)
+    return log
 
 
-def _cycles(contents: _Contents, numbers: dict[str, dict], steps: int) -> dict[str, np.ndarray]:
-    """Return the arrays of the cycles; messages of a cycle carry the number of its last step."""
+def _cycles(
+    contents: _Contents, numbers: dict[str, dict], first: int, steps: int, cut: bool
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return the arrays of the cycles, and the topics that a filter has left out of them.
+
+    Messages of a cycle carry the number of its last step. A cycle counts if all of it is there.
+    """
     gaits = numbers.get(channels.GAIT, {})
-    values, rewards = numbers.get(channels.VALUES, {}), numbers.get(channels.REWARD, {})
-    scans = numbers.get(channels.RANGES, {})
+    missing = tuple(sorted(_EVERY_CYCLE - numbers.keys())) if gaits and not cut else ()
+    there = [numbers.get(topic, {}) for topic in _EVERY_CYCLE.difference(missing)]
     poses = {n: _pose(m) for n, _, m in contents.messages.get(channels.SURROGATE, [])}
-    ends = [
-        n
-        for n in sorted(gaits)
-        if n <= steps and all(n in part for part in (values, rewards, scans))
-    ]
+    bounds = sorted(n for n in gaits if n <= first + steps)
+    ends = [n for n in bounds if all(n in part for part in there)]
+    start = max((n for n in bounds if ends and n < ends[0]), default=first)
     m = len(ends)
+
+    def rows(topic: str) -> np.ndarray:
+        """Return the numbers of each cycle; none if the topic is missing."""
+        found = [numbers[topic][n] if topic not in missing else [] for n in ends]
+        return np.array(found, float).reshape(m, -1 if m and topic not in missing else 0)
+
+    reward = rows(channels.REWARD)
     return {
-        "cycle_steps": np.array([0, *ends], int),
-        "gait_index": np.array([gaits[n][0] for n in ends], int),
-        "values": np.array([values[n] for n in ends]).reshape(m, -1 if m else 0),
-        "reward": np.array([rewards[n][0] for n in ends]),
-        "laser": np.array([scans[n] for n in ends]).reshape(m, -1 if m else 0),
+        "cycle_steps": np.array([start, *ends], int) - first,
+        "first_cycle": int(gaits[ends[0]][2]) if ends else 0,
+        "gait_index": np.array(validate.gait_numbers([gaits[n][0] for n in ends]), int),
+        "values": rows(channels.VALUES),
+        "reward": reward[:, 0] if reward.shape[1] else np.full(m, np.nan),
+        "laser": rows(channels.RANGES),
         "surrogate_pose": np.array([poses.get(n, np.full(7, np.nan)) for n in ends]).reshape(m, 7),
-    }
+    }, missing
 
 
 def _pose(message: Any) -> np.ndarray:

@@ -143,11 +143,7 @@ class Recorder:
         }
         configuration = {**given, "scene": dataclasses.asdict(scene)}
         try:
-            self.partial.parent.mkdir(parents=True, exist_ok=True)
-            self._stream = open(self.partial, "wb")  # noqa: SIM115 (as long as the episode)
-            # a chunk ends where `_flush` says, between two steps, not at a size
-            self._writer = Writer(self._stream, chunk_size=1 << 30, enable_data_crcs=True)
-            self._writer.start(library=f"defplan {defplan_mj.__version__}")
+            self._writer = self._open()
             self._writer.add_metadata(
                 schemas.IDENTITY_RECORD, {key: str(value) for key, value in identity.items()}
             )
@@ -165,6 +161,15 @@ class Recorder:
         self._write(channels.SCENE, now, scene_update(scene, now))
         self._write_state(now, wire.timestamp(now), x)
         self._flush(time)
+
+    def _open(self) -> Writer:
+        """Open the file; return what writes it."""
+        self.partial.parent.mkdir(parents=True, exist_ok=True)
+        self._stream = open(self.partial, "wb")  # noqa: SIM115 (as long as the episode)
+        # a chunk ends where `_flush` says, between two steps, not at a size
+        writer = Writer(self._stream, chunk_size=1 << 30, enable_data_crcs=True)
+        writer.start(library=f"defplan {defplan_mj.__version__}")
+        return writer
 
     def step(self, time: float, x: np.ndarray, target_shape: np.ndarray, clearance: float) -> None:
         """Log one physics step.

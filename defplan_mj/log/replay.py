@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,12 +11,21 @@ from typing import Any
 
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
-from defplan_mj.log import schemas
+from defplan_mj.log import channels, schemas
+from defplan_mj.log.columns import steps_column
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import versions
+from defplan_mj.log.validate import check_cycles, refuse
 from defplan_mj.planning.sensors.sensor import sensor_of
 from defplan_mj.task import Navigation
+
+_NUMBERS_OF = {
+    channels.CONTACTS: "clearance",
+    channels.RANGES: "laser",
+    channels.REWARD: "reward",
+}
 
 
 @dataclass(frozen=True)
@@ -109,18 +120,30 @@ def replay_log(path: str | Path | EpisodeLog, progress: Progress = no_progress) 
     from defplan_mj.dynamics.reduced import ReducedDynamics
 
     log = path if isinstance(path, EpisodeLog) else read_log(path)
+    if channels.TARGET_SHAPE in log.missing:
+        raise DefplanError(f"log {log.path} is {log.fault}: there is nothing to replay it from")
+    if not len(log.target_shapes):
+        fault = f" ({log.fault})" if log.fault else ""
+        raise DefplanError(f"log {log.path} holds no step to replay{fault}: record it anew")
+    if log.body.n_modes != log.target_shapes.shape[1]:
+        refuse(log, "body.npz", f"has {log.body.n_modes} modes, not those of the log")
+    if "gait.npz" in log.attachments:
+        check_cycles(log, log.gait)
     progress("replay in the kernel", 0.0)
-    dynamics = ReducedDynamics(log.body, log.timestep, log.terrain, **log.stepping)
+    with _named(log):
+        dynamics = ReducedDynamics(log.body, log.timestep, log.terrain, **log.stepping)
     states, _ = dynamics.rollout_count(log.states[0], log.target_shapes)
     largest = _largest(log.states, states)
     simulators = ["kernel"]
     difference = _first("kernel", "state", log.states, states, _state_labels(log))
-    if difference is None and "gait.npz" in log.attachments and len(log.gait_index):
+    whole_start = log.first == 0  # MuJoCo starts where the episode did
+    if difference is None and whole_start and "gait.npz" in log.attachments and len(log.gait_index):
         simulators.append("mujoco")
-        replayed = _in_mujoco(log, progress)
+        with _named(log):
+            replayed = _in_mujoco(log, progress)
+            difference = _compare_episode(log, replayed)
         n = len(replayed["state"])
         largest = max(largest, _largest(log.states[:n], replayed["state"]))
-        difference = _compare_episode(log, replayed)
     progress("replay done", 1.0)
     return ReplayResult(
         path=log.path,
@@ -131,6 +154,17 @@ def replay_log(path: str | Path | EpisodeLog, progress: Progress = no_progress) 
         largest=largest,
         changed=tuple(_changed(log)),
     )
+
+
+@contextlib.contextmanager
+def _named(log: EpisodeLog) -> Iterator[None]:
+    """Say of which log an error is."""
+    try:
+        yield
+    except DefplanError as error:
+        if str(log.path) in str(error):
+            raise
+        raise DefplanError(f"log {log.path} cannot be replayed: {error}") from error
 
 
 def _in_mujoco(log: EpisodeLog, progress: Progress) -> dict[str, np.ndarray]:
@@ -196,9 +230,11 @@ def _compare_episode(log: EpisodeLog, replayed: dict[str, np.ndarray]) -> Differ
         "state": _state_labels(log),
         "laser": _reading_labels(log),
     }
+    missing = {_NUMBERS_OF[topic] for topic in log.missing if topic in _NUMBERS_OF}
     differences = [
         _first("mujoco", name, logged[name], replayed[name], labels.get(name, [""]), steps[name])
         for name in logged
+        if name not in missing
     ]
     return min((d for d in differences if d is not None), key=lambda d: d.step, default=None)
 
@@ -251,7 +287,7 @@ def _navigation(log: EpisodeLog) -> Navigation:
     """Return what a log says of the navigation problem, as far as the robot senses it."""
     navigation: dict[str, Any] = log.configuration.get("navigation") or {}
     return Navigation(
-        beams=int(navigation.get("beams") or log.laser.shape[1]),
+        beams=int(navigation.get("beams") or log.laser.shape[1] or Navigation().beams),
         laser_range=float(navigation.get("laser_range", Navigation().laser_range)),
         space=log.space,
         sensor=navigation.get("sensor", ""),
@@ -276,11 +312,20 @@ def _finite(values: dict[str, Any]) -> dict[str, Any]:
 def write_video(
     log: str | Path | EpisodeLog,
     video: str | Path,
-    size: tuple[int, int] = (960, 540),
+    size: tuple[int, int] | None = None,
     fps: float = 25.0,
     camera: str = "chase",
+    progress: Progress = no_progress,
+    seconds: tuple[float, float] = (0.0, np.inf),
 ) -> None:
     """Draw a log's states in their scene as a video (.mp4, .gif), or the last one (.png).
+
+    Gait, time and distance to the target are written into it.
+
+    Args:
+        size: width, height in pixels; None: see `host.render.render_states`.
+        fps: frames a second.
+        seconds: the part of the log that is drawn, from and to, s.
 
     Raises:
         DefplanError: the log cannot be read, or the video cannot be drawn or written.
@@ -289,10 +334,22 @@ def write_video(
     from defplan_mj.host.skin import texture_of
 
     log = log if isinstance(log, EpisodeLog) else read_log(log)
+    since, until = np.searchsorted(log.time - log.time[0], [seconds[0], seconds[1]])
+    part = slice(int(since), max(int(until), int(since) + 1))
+    if part.start >= len(log.states):
+        raise DefplanError(f"log {log.path} ends before {seconds[0]:g} s")
+    gait, distance = steps_column(log, "gait"), steps_column(log, "target_distance_m")
+
+    def caption(index: int) -> tuple[str, str]:
+        at = part.start + index
+        values = (gait[at] or "-", f"{log.time[at]:.1f} s", f"{distance[at]:.1f} m")
+        return "gait\ntime\nto target", "\n".join(values)
+
+    shift = log.time[part.start] * log.scene.velocities  # a film begins at time 0
     render_states(
         log.body,
-        log.states,
-        log.scene,
+        log.states[part],
+        dataclasses.replace(log.scene, centres=log.scene.centres + shift),
         video,
         size,
         fps,
@@ -300,4 +357,6 @@ def write_video(
         timestep=log.timestep,
         terrain=log.terrain,
         texture=texture_of(log.task),
+        caption=caption,
+        progress=progress,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterable
 from functools import partial
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.reading import read_json
 from defplan_mj.pipeline.making import gait_inputs, gait_problem, solve_gait
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import write_json
@@ -41,8 +41,9 @@ def _attempt(run: Run, solver: Any, seed: int) -> Stage:
         lambda run: gait_inputs(run, solver, seed),
         partial(_measure_own if own else _solve_and_measure, solver=solver, seed=seed),
         needs=("body", "gait") if own else ("body",),
-        load=lambda run: json.loads(_row_file(run, solver, seed).read_text(encoding="utf-8")),
+        load=lambda run: read_json(_row_file(run, solver, seed), "comparison"),
         guarded=False,
+        lent=True,
     )
 
 

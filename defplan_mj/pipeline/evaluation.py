@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from defplan_mj.base.reading import read_json
 from defplan_mj.pipeline.provenance import plugin_data
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import write_json
@@ -80,7 +80,7 @@ EVALUATION = Stage(
     lambda run: _inputs(run, episodes=run.plan.options.episodes, logged=run.plan.options.logged),
     _make_evaluation,
     needs=_NEEDS,
-    load=lambda run: json.loads(run.file(EVALUATION_FILE).read_text(encoding="utf-8")),
+    load=lambda run: read_json(run.file(EVALUATION_FILE), "evaluation"),
     figures=_evaluation_figures,
     sections=("success", "trajectories", "comparison"),
     timed=True,
@@ -102,7 +102,7 @@ MOVING = Stage(
     lambda run: _inputs(run, moving=run.plan.options.moving),
     _make_moving,
     needs=_NEEDS,
-    load=lambda run: json.loads(run.file(MOVING_FILE).read_text(encoding="utf-8"))["moving"],
+    load=lambda run: read_json(run.file(MOVING_FILE), "evaluation")["moving"],
     figures=lambda run: run.result("moving"),
     sections=("success",),
     included=lambda run: run.plan.options.moving > 0,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,9 @@ import numpy as np
 
 from defplan_mj.base import files, threads
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.pipeline.provenance import file_hash, plugin_data
+from defplan_mj.base.files import file_hash
+from defplan_mj.base.reading import read_json
+from defplan_mj.pipeline.provenance import plugin_data
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import write_json
 from defplan_mj.studies.gait_solvers import SWITCHING_CYCLES
@@ -58,7 +59,15 @@ def _load_body(run: Run) -> Body:
     return Body.load(run.file(BODY_FILE))
 
 
-BODY = Stage("body", _body_inputs, _make_body, load=_load_body, sections=("body",), timed=True)
+BODY = Stage(
+    "body",
+    _body_inputs,
+    _make_body,
+    load=_load_body,
+    sections=("body",),
+    timed=True,
+    lent=True,
+)
 
 
 # ---- gaits
@@ -78,9 +87,28 @@ def gait_problem(run: Run, gait: Gait | None = None) -> GaitProblem:
 
 
 def solve_gait(run: Run, solver: Any, stage: str, seed: int) -> Gait:
-    """Let a gait solver solve the problem; Ctrl-C is heard meanwhile."""
+    """Let a gait solver solve the problem; Ctrl-C is heard meanwhile.
+
+    Raises:
+        DefplanError: it returns no gait.
+    """
+    from defplan_mj.gait.gait import Gait
+
     problem, progress = gait_problem(run), run.progress_of(stage)
-    return threads.interruptible(lambda: solver.solve(problem, seed, progress))
+    gait = threads.interruptible(lambda: solver.solve(problem, seed, progress))
+    return expect(gait, Gait, f"the gait solver {solver.name}", "solve")
+
+
+def expect(value: Any, kind: type, who: str, what: str) -> Any:
+    """Return what a plugin's function has returned, if it is of the kind that it has to be.
+
+    Raises:
+        DefplanError: it is not, for example None because of a forgotten `return`.
+    """
+    if not isinstance(value, kind):
+        got = "None" if value is None else f"a {type(value).__name__}"
+        raise DefplanError(f"{who} returns {got} from {what}: it has to return a {kind.__name__}")
+    return value
 
 
 def gait_inputs(run: Run, solver: Any, seed: int) -> dict[str, Any]:
@@ -170,7 +198,7 @@ def skills(run: Run) -> list[dict[str, Any]]:
 
 
 def _verdicts(run: Run) -> dict[str, Any]:
-    return json.loads(run.file(SKILLS_FILE).read_text(encoding="utf-8"))
+    return read_json(run.file(SKILLS_FILE), "verdict")
 
 
 def _require_steering(run: Run) -> None:
@@ -195,7 +223,7 @@ def _load_gait(run: Run) -> Gait:
 
 def _gait_figures(run: Run) -> dict[str, Any]:
     """Return what the gaits do while they are switched: advance and turn a cycle, falls."""
-    return json.loads(run.file(SWITCHING_FILE).read_text(encoding="utf-8"))["gait"]
+    return read_json(run.file(SWITCHING_FILE), "measurement")["gait"]
 
 
 GAIT = Stage(
@@ -207,6 +235,7 @@ GAIT = Stage(
     figures=_gait_figures,
     sections=("gaits",),
     timed=True,
+    lent=True,
     require=_require_steering,
 )
 
@@ -262,6 +291,7 @@ SURROGATE = Stage(
     figures=_surrogate_figures,
     sections=("surrogate",),
     timed=True,
+    lent=True,
 )
 
 
@@ -293,6 +323,8 @@ def _planner_inputs(run: Run) -> dict[str, Any]:
 
 
 def _make_planner(run: Run) -> Iterable[Path]:
+    from defplan_mj.planning.planner import TrainResult
+
     plan, policy, training = run.plan, policy_file(run), training_file(run)
     trained = plan.planner.train(
         run.result("surrogate"),
@@ -301,6 +333,7 @@ def _make_planner(run: Run) -> Iterable[Path]:
         seconds=plan.options.training_seconds,
         progress=run.progress_of("planner"),
     )
+    expect(trained, TrainResult, f"the planner {plan.planner.name}", "train")
     plan.planner.save(trained.planner, policy)
     curves = {name: np.asarray(curve) for name, curve in trained.curves.items()}
     meta = {
@@ -333,4 +366,5 @@ PLANNER = Stage(
     sections=("training",),
     key=lambda run: run.plan.of_planner("planner"),
     timed=True,
+    lent=True,
 )

@@ -16,12 +16,7 @@ import numpy as np
 
 from defplan_mj import registry
 from defplan_mj.base import files
-
-
-def file_hash(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes (64 hex digits)."""
-    with open(path, "rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+from defplan_mj.base.files import file_hash
 
 
 def content_of(path: Path) -> str:

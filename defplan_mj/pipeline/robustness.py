@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.reading import read_json
 from defplan_mj.pipeline.making import dynamics
 from defplan_mj.pipeline.provenance import plugin_data
 from defplan_mj.pipeline.stage import Stage
@@ -49,7 +49,7 @@ def robustness(
         partial(_inputs, solvers=solvers, where=where, cycles=cycles),
         partial(_make, solvers=solvers, where=where, cycles=cycles),
         needs=("body", "gait"),
-        load=lambda run: json.loads(run.file(ROBUSTNESS_FILE).read_text(encoding="utf-8")),
+        load=lambda run: read_json(run.file(ROBUSTNESS_FILE), "measurement"),
         figures=lambda run: run.result("robustness"),
         sections=("robustness",),
         guarded=False,

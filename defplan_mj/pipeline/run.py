@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.pipeline.outlook import UNASKED, Anew, Consent, Outlook, why_anew
@@ -35,6 +36,7 @@ class Run:
         consent: how the user is told and asked of what is made anew.
         anew: names of stages that are made even if they could be used again.
         whole: the folder holds a whole run, whose stages are not made anew unasked.
+        lenders: folders of other runs; a stage that lies there, made from the same inputs, is copied.
     """
 
     plan: Plan
@@ -48,13 +50,18 @@ class Run:
         consent: Consent = UNASKED,
         anew: Iterable[str] = (),
         whole: bool = False,
+        lenders: Sequence[Path] = (),
     ) -> None:
         self.plan, self.folder = plan, folder
+        self.lenders = tuple(lenders)
         self.consent, self.anew, self.whole = consent, frozenset(anew), whole
         self._progress = progress
         self._stages = {stage.name: stage for stage in STAGES}
         self._done: dict[str, Record] = {}
         self._results: dict[str, Any] = {}
+        self._place = ""  # of the stage that is being made among those of the command
+        self.working = ""
+        """Name of the stage that is being made, or was the last; '': none was."""
 
     # ---- making
 
@@ -71,9 +78,11 @@ class Run:
         """
         chain = self._chain(stages)
         self.consent.obtain(self._outlook(chain), str(self.folder.path), self.whole)
-        for stage in chain:
+        for number, stage in enumerate(chain, start=1):
+            self._place = f"stage {number} of {len(chain)}" if len(chain) > 1 else ""
             if stage.name not in self._done:
                 self._do(stage)
+        self._place = ""
 
     def renew_report(self) -> None:
         """Write the report again if there is one and the folder holds more than it shows."""
@@ -81,12 +90,15 @@ class Run:
             self.do("report")
 
     def _do(self, stage: Stage) -> None:
+        self.working = stage.name
         for name in self._needs(stage):
             self._stages[name].require(self)
         before = {name: self._done[name].contents for name in self._needs(stage)}
         inputs = self._inputs(stage, before)
         fresh = stage.name in self.anew
         make = functools.partial(stage.make, self)
+        if not fresh and stage.lent:
+            any(self.folder.adopt(self._key(stage), inputs, lender) for lender in self.lenders)
         self._done[stage.name] = self.folder.stage(self._key(stage), inputs, make, fresh)
 
     def _chain(self, stages: Iterable[str | Stage]) -> list[Stage]:
@@ -115,7 +127,7 @@ class Run:
         anew: list[Anew] = []
         moved: set[str] = set()  # stages that may come out differently from what is there
         for stage in chain:
-            if stage.name in self._done or stage.name == "report":
+            if stage.name in self._done or not stage.guarded:
                 continue
             reason = self._reason(stage, moved)
             if reason is not None or not moved.isdisjoint(self._needs(stage)):
@@ -156,7 +168,7 @@ class Run:
         for stage in STAGES:
             if not follow.isdisjoint(stage.needs):
                 follow.add(stage.name)
-        finished = [s.name for s in STAGES if self._key(s) in self.folder.records]
+        finished = [s.name for s in STAGES if s.guarded and self._key(s) in self.folder.records]
         return [name for name in finished if name in follow - named]
 
     # ---- reading
@@ -171,12 +183,14 @@ class Run:
         if name not in self._done:
             raise KeyError(f"stage {name} is not done yet")
         if name not in self._results:
-            self._results[name] = self._stages[name].load(self)
+            with files.fields_of(self.folder.path, f"run ({name})"):
+                self._results[name] = self._stages[name].load(self)
         return self._results[name]
 
     def figures(self, name: str) -> Any:
         """Return what the JSON says of a stage that is done."""
-        return self._stages[name].figures(self)
+        with files.fields_of(self.folder.path, f"run ({name})"):
+            return self._stages[name].figures(self)
 
     def is_done(self, name: str) -> bool:
         """Return whether a stage was done in this process."""
@@ -200,11 +214,12 @@ class Run:
         return sum(record.seconds for record in self._done.values())
 
     def progress_of(self, stage: str) -> Progress:
-        """Return a Progress that names the stage."""
+        """Return a Progress that names the stage, and which one of how many it is."""
 
         def show(message: str, fraction: float) -> None:
             detail = message.removeprefix(stage.split()[0]).lstrip(": ")
-            self._progress(f"{stage}: {detail}" if detail else stage, fraction)
+            name = f"{stage} ({self._place})" if self._place else stage
+            self._progress(f"{name}: {detail}" if detail else name, fraction)
 
         return show
 
@@ -221,6 +236,7 @@ def open_run(
     fresh: bool = False,
     consent: Consent = UNASKED,
     anew: Iterable[str] = (),
+    lenders: Sequence[Path] = (),
 ) -> Iterator[Run]:
     """Open the folder `logs/<task>-seed<seed>` and yield its run.
 
@@ -230,7 +246,7 @@ def open_run(
         whole: the folder is for a whole run: what is not chosen is the default, whatever the folder's
             run was asked for before.
         fresh: forget everything made before.
-        consent, anew: see `Run`.
+        consent, anew, lenders: see `Run`.
 
     Raises:
         DefplanError: the folder is in use or cannot be written, or another task's of the same name.
@@ -247,7 +263,7 @@ def open_run(
     with RunFolder(path, _configuration(plan, before, whole or was_whole), fresh) as folder:
         if before and before.get(TASK_FILE) != folder.config.get(TASK_FILE):
             folder.keep_config()
-        yield Run(plan, folder, progress, consent, anew, was_whole)
+        yield Run(plan, folder, progress, consent, anew, was_whole, lenders)
 
 
 def _check_task(

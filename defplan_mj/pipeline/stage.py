@@ -42,8 +42,9 @@ class Stage:
         included: whether a whole run makes it.
         key: its name in run.json, if that is another.
         guarded: it is not made anew for another option unless that is agreed to: it takes long, or
-            something that takes long follows from it.
+            something that takes long follows from it. Others are made anew without a word.
         timed: its seconds are in the JSON of a run.
+        lent: other runs may copy it: it takes longer to make than to copy.
         require: raises a DefplanError if nothing can be made from what it made.
     """
 
@@ -59,4 +60,5 @@ class Stage:
     key: Callable[[Run], str] | None = None
     guarded: bool = True
     timed: bool = False
+    lent: bool = False
     require: Callable[[Run], Any] = _nothing

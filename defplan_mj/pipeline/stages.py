@@ -6,18 +6,19 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from defplan_mj.base.files import file_hash
 from defplan_mj.pipeline.comparison import COMPARISON
 from defplan_mj.pipeline.evaluation import EVALUATION, MOVING
 from defplan_mj.pipeline.making import BODY, GAIT, PLANNER, SURROGATE
-from defplan_mj.pipeline.provenance import file_hash
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import RUN_FILE
+from defplan_mj.pipeline.video import VIDEO, VIDEO_FILE
 
 if TYPE_CHECKING:
     from defplan_mj.pipeline.run import Run
 
 REPORT_FILE = "report.html"
-_SHOWN = ("[!.]*.json", "[!.]*.npz", "**/[!.]*.mcap")
+_SHOWN = ("[!.]*.json", "[!.]*.npz", "**/[!.]*.mcap", VIDEO_FILE)
 
 
 def _report_inputs(run: Run) -> dict[str, Any]:
@@ -70,4 +71,4 @@ REPORT = Stage(
     guarded=False,
 )
 
-STAGES = (BODY, GAIT, COMPARISON, SURROGATE, PLANNER, EVALUATION, MOVING, REPORT)
+STAGES = (BODY, GAIT, COMPARISON, SURROGATE, PLANNER, EVALUATION, MOVING, VIDEO, REPORT)

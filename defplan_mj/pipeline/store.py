@@ -16,7 +16,9 @@ from typing import IO, Any
 from defplan_mj import __version__
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.pipeline.provenance import content_of, file_hash, plain_data
+from defplan_mj.base.files import file_hash
+from defplan_mj.base.reading import read_json
+from defplan_mj.pipeline.provenance import content_of, plain_data
 
 FORMAT_VERSION = 1
 RUN_FILE = "run.json"
@@ -42,6 +44,10 @@ class Record:
     seconds: float
     contents: dict[str, str] = field(default_factory=dict)
     made_from: dict[str, Any] = field(default_factory=dict)
+
+
+class FolderBusy(DefplanError):
+    """Another process is at work in a run's folder."""
 
 
 def input_hash(inputs: Mapping[str, Any]) -> str:
@@ -81,7 +87,8 @@ class RunFolder:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             self._lock.close()
-            raise DefplanError(_lock_sentence(self.path, error)) from error
+            kind = FolderBusy if error.errno in _BUSY else DefplanError
+            raise kind(_lock_sentence(self.path, error)) from error
         self._sweep()
         self.records = {} if self.fresh else _read(self.path)[1]
         if self.fresh:
@@ -139,6 +146,31 @@ class RunFolder:
         self._write()
         return made
 
+    def adopt(self, name: str, inputs: Mapping[str, Any], lender: Path) -> bool:
+        """Copy a stage from another run's folder if it is there, whole and of the same inputs.
+
+        Returns:
+            whether it was. A stage that is here already with these inputs stays.
+        """
+        own, wanted = self.records.get(name), input_hash(inputs)
+        if own is not None and own.inputs == wanted and self.whole(name):
+            return False
+        record = _read(lender)[1].get(name)
+        if record is None or record.inputs != wanted:
+            return False
+        try:
+            for file, told in record.files.items():
+                if file_hash(lender / file) != told:
+                    return False
+            for file in record.files:
+                files.copy_file(lender / file, self.file(file))
+        except OSError:  # it is being written, or was removed
+            return False
+        self._remove(set(own.files if own else ()) - set(record.files))
+        self.records[name] = record
+        self._write()
+        return self.whole(name)
+
     def keep_config(self) -> None:
         """Write what the run is asked for now, whatever is made of it."""
         self._write()
@@ -185,6 +217,11 @@ def read_config(path: Path) -> dict[str, Any]:
     return _read(path)[0]
 
 
+def stage_seconds(path: Path) -> dict[str, float]:
+    """Return the wall time of each finished stage of the run in the folder `path`, by its key, s."""
+    return {name: float(record.seconds) for name, record in _read(path)[1].items()}
+
+
 def has_run(path: Path) -> bool:
     """Return whether the folder `path` holds a run that was reported."""
     return "report" in _read(path)[1]
@@ -193,13 +230,13 @@ def has_run(path: Path) -> bool:
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Record]]:
     """Read run.json: configuration and records; one that is damaged counts as not there."""
     try:
-        data = json.loads((path / RUN_FILE).read_text(encoding="utf-8"))
+        data = read_json(path / RUN_FILE, "run")
         if data["format"] != FORMAT_VERSION:
             return {}, {}
         records = {name: Record(**record) for name, record in data["stages"].items()}
         kept = {name: record for name, record in records.items() if _is_sound(record)}
         return dict(data["config"]), kept
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (DefplanError, *files.WRONG_FIELDS):
         return {}, {}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from defplan_mj.pipeline.making import policy_file
 if TYPE_CHECKING:
     from dm_control.rl.control import Environment
 
+    from defplan_mj.log.live import Server
     from defplan_mj.log.recorder import Recorder
     from defplan_mj.log.run_files import RunFiles
     from defplan_mj.pipeline.run import Run
@@ -157,3 +159,36 @@ def environment(run: Run, obstacles: int | None = None) -> Environment:
     return robot_environment(
         robot(run), spec.navigation, scenes, random=seed, texture=spec.texture()
     )
+
+
+def stream(
+    run: Run,
+    server: Server,
+    shield: bool = True,
+    obstacles: int | None = None,
+    episodes: int | None = None,
+    speed: float = 1.0,
+) -> list[str]:
+    """Let the run's planner steer through unseen scenes and stream it, held to wall time.
+
+    Args:
+        episodes: None: until Ctrl-C.
+        speed: simulated seconds a second of wall time; 0: as fast as it goes.
+
+    Returns:
+        The outcomes.
+    """
+    from defplan_mj.host.evaluation import run_episode
+    from defplan_mj.log.live import Live
+    from defplan_mj.log.run_files import RunFiles
+
+    env, planner = environment(run, obstacles), steering(run, shield)
+    files = RunFiles.of_robot(robot(run), run.result("surrogate"))
+    scenes = _scenes(run, "novel", episodes or run.plan.options.episodes, obstacles, 0.0)
+    outcomes: list[str] = []
+    numbered = enumerate(scenes if episodes else itertools.cycle(scenes))
+    for number, scene in numbered:
+        with Live(server, files, speed) as live:
+            done = run_episode(env, scene, planner, live, _context(run, shield), number)
+        outcomes.append(done.outcome)
+    return outcomes

@@ -28,6 +28,15 @@ def carried_out(values: np.ndarray, observation: Observation) -> int:
     return int(np.argmax(values if safe is None else np.where(safe, values, -np.inf)))
 
 
+def needs_obstacles(planner: Planner) -> bool:
+    """Return whether a planner is to be told all obstacles: it says so by `needs_obstacles = True`.
+
+    Its observations then have 'obstacles' (n, d + 1): centres in the robot's frame and radii, m, as they truly
+    are. That is no robot that only senses: such planners are peers and bounds for those that do.
+    """
+    return bool(getattr(planner, "needs_obstacles", False))
+
+
 class Planner(Protocol):
     """What drives one robot: values each gait at every cycle; the largest value is chosen."""
 

@@ -51,4 +51,10 @@ class Robot:
         """Return the feedback for navigation in `space`; None: open loop."""
         if self.feedback is None:
             return None
-        return self.feedback.prepare(self.dynamics, self.gait, space)
+        prepared = self.feedback.prepare(self.dynamics, self.gait, space)
+        if prepared is None:
+            raise DefplanError(
+                f"the feedback {self.feedback.name} returns None from prepare: it has to return a"
+                " Feedback"
+            )
+        return prepared

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from defplan_mj.planning.motion_tree import MotionTree, lookahead, motion_trees
-from defplan_mj.planning.planner import Observation, Planner
+from defplan_mj.planning.planner import Observation, Planner, needs_obstacles
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.tracking import Tracker
 from defplan_mj.task import Navigation
@@ -52,6 +52,11 @@ class Shield:
         self.tracker = Tracker(surrogate, navigation)
         ends = [np.linalg.norm(tree.end, axis=1).max() for tree in self.trees + self.long_trees]
         self.reach = float(max(ends)) + self.radius + max(margin for _, margin in levels)
+
+    @property
+    def needs_obstacles(self) -> bool:
+        """Whether the wrapped planner is told all obstacles; the shield knows the laser only."""
+        return needs_obstacles(self.planner)
 
     def reset(self) -> None:
         """Reset the wrapped planner, and forget what moved."""

@@ -149,12 +149,16 @@ class Surrogate:
         files.save_archive(path, "surrogate", FORMAT_VERSION, arrays, meta)
 
     @classmethod
-    def load(cls, path: str | Path) -> Surrogate:
+    def load(cls, path: files.Source) -> Surrogate:
         """Read a surrogate of `save`.
 
         Raises:
-            DefplanError: the file is missing, damaged or of another version.
+            DefplanError: the file is missing, damaged or of another version, or its content is no surrogate.
         """
+        from defplan_mj.planning.validate import (
+            validate_surrogate,
+        )  # here: it looks into surrogates
+
         arrays, meta, _ = files.load_archive(path, "surrogate", FORMAT_VERSION)
         with files.fields_of(path, "surrogate"):
             switching = None
@@ -162,4 +166,6 @@ class Surrogate:
                 parts = {name: arrays.pop(f"switched_{name}") for name in _SWITCHED}
                 switching = Switched(**parts, held_out=meta.pop("held_out"))
             contents: dict[str, Any] = {**meta, **arrays, "task_names": tuple(meta["task_names"])}
-            return cls(**contents, switching=switching)
+            surrogate = cls(**contents, switching=switching)
+            validate_surrogate(surrogate, str(path))
+        return surrogate

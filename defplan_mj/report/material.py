@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +11,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.base.files import archive_meta
+from defplan_mj.base.files import archive_contents, archive_meta
+from defplan_mj.base.reading import read_json
 from defplan_mj.base.space import PLANE, SPACE
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.reduced import ReducedDynamics
@@ -64,7 +64,8 @@ class Material:
     @property
     def config(self) -> dict[str, Any]:
         """What the run was asked for."""
-        return self.documents.get("run", {}).get("config", {})
+        config = self.documents.get("run", {}).get("config")
+        return config if isinstance(config, dict) else {}
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -99,9 +100,16 @@ class Material:
         return self.logs[0].space if self.logs else PLANE.name
 
     @property
+    def walks(self) -> bool:
+        """Whether the robot stands on something, from which it can fall; as far as it is known."""
+        if self.spec is not None:
+            return self.spec.world.walks
+        return any("terrain.json" in log.attachments for log in self.logs)
+
+    @property
     def legged(self) -> bool:
         """Whether gaits are seen better from the side: in space, and on the ground."""
-        return self.space == SPACE.name or (self.spec is not None and self.spec.world.walks)
+        return self.space == SPACE.name or self.walks
 
     @property
     def switching(self) -> dict[str, Any]:
@@ -153,7 +161,7 @@ def gather(folder: str | Path) -> Material:
         return None
 
     for path in sorted(folder.glob("[!.]*.json")):
-        document = read(path.name, lambda path: json.loads(path.read_text(encoding="utf-8")))
+        document = read(path.name, lambda path: read_json(path, "document"))
         if isinstance(document, dict):
             material.documents[path.stem] = document
     material.body = read("body.npz", Body.load)
@@ -171,6 +179,17 @@ def gather(folder: str | Path) -> Material:
     return material
 
 
+def training_curves(folder: Path, planner: str) -> dict[str, np.ndarray]:
+    """Return the training curves of a run's planner by name; none if they are missing or damaged."""
+    for name in (f"training-{planner}.npz", "training.npz"):
+        if (folder / name).is_file():
+            try:
+                return _training(folder / name)[0]
+            except DefplanError:
+                return {}
+    return {}
+
+
 def missing(material: Material, *names: str) -> Missing:
     """Return the sentence on files that a section needs and does not have."""
     for name in names:
@@ -183,8 +202,7 @@ def missing(material: Material, *names: str) -> Missing:
 def _training(path: Path) -> tuple[dict[str, np.ndarray], bool]:
     """Return the numeric vectors of an npz archive, and whether it says that it was cut short."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files if not name.endswith(".json")}
+        arrays, _ = archive_contents(path)
     except Exception as error:  # zip, zlib and NumPy raise many kinds on damaged files
         raise DefplanError(f"{path} is not a whole training file") from error
     curves = {k: a for k, a in arrays.items() if a.ndim == 1 and a.dtype.kind in "fiu" and len(a)}

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.base.reading import first_line
 from defplan_mj.report.content import Fact, Section, duration, percent
 from defplan_mj.report.material import Material, gather
 from defplan_mj.report.sections.body import body_section
@@ -30,6 +33,7 @@ from defplan_mj.report.sections.training import training_section
 from defplan_mj.report.sections.trajectories import trajectory_section
 
 REPORT_FILE = "report.html"
+_Part = TypeVar("_Part")
 
 
 def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Path:
@@ -48,7 +52,33 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
     sections = []
     for i, make in enumerate(SECTIONS):
         progress("report", i / len(SECTIONS))
-        sections.append(make(material))
+        sections.append(_made(make, material))
+    told = material.spec.description if material.spec else ""
+    seed = material.config.get("seed", _seed_of(material.folder))
+    page = render_page(
+        material.task,
+        f"seed {seed}",
+        f"{told[:1].upper()}{told[1:]}. {_MADE}" if told else "",
+        _made(summary, material),
+        sections,
+    )
+    path = material.folder / REPORT_FILE
+    files.write_text(path, page)
+    progress("report", 1.0)
+    return path
+
+
+_MADE = "Everything below was made from one mesh file and is shown as measured in this run."
+
+
+def render_page(
+    title: str,
+    subtitle: str,
+    description: str,
+    facts: Sequence[Fact],
+    sections: Sequence[Section],
+) -> str:
+    """Return a page as one self-contained HTML text."""
     environment = Environment(
         loader=PackageLoader("defplan_mj.report"),
         autoescape=True,
@@ -56,17 +86,20 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    page = environment.get_template("page.html").render(
-        title=material.task,
-        seed=material.config.get("seed", _seed_of(material.folder)),
-        description=material.spec.description if material.spec else "",
-        facts=summary(material),
-        sections=sections,
+    return environment.get_template("page.html").render(
+        title=title, subtitle=subtitle, description=description, facts=facts, sections=sections
     )
-    path = material.folder / REPORT_FILE
-    files.write_text(path, page)
-    progress("report", 1.0)
-    return path
+
+
+def _made(make: Callable[[Material], _Part], material: Material) -> _Part:
+    """Make a part of the page; files whose content makes no sense are a sentence."""
+    try:
+        return make(material)
+    except files.WRONG_FIELDS as error:
+        raise DefplanError(
+            f"the report of {material.folder} cannot be made: what its files say does not fit"
+            f" {make.__name__} ({first_line(error)}): make the run anew with --fresh, --debug shows where"
+        ) from error
 
 
 def summary(material: Material) -> list[Fact]:

@@ -52,6 +52,10 @@ def find_task(name: str) -> TaskSpec:
     try:
         return registry.get_task(name)
     except DefplanError as error:
+        if Path(name).is_dir():
+            raise DefplanError(
+                f"{name} is a folder, no task: name a mesh or a task file in it"
+            ) from error
         if Path(name).is_file():
             raise DefplanError(f"{name} is no task file: such a file ends in {SUFFIX}") from error
         raise

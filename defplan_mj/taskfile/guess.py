@@ -14,22 +14,26 @@ from threadpoolctl import threadpool_limits
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.body.build import build_body
 from defplan_mj.body.convergence import stiffness_correction
 from defplan_mj.body.elasticity import linear_modes
-from defplan_mj.body.meshing import fill
+from defplan_mj.body.fidelity import MOST_DISTANCE
+from defplan_mj.body.loading import fill_file, read_view
+from defplan_mj.body.look import View
 from defplan_mj.body.model import Material, Medium
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.body.orientation import direction, turned
-from defplan_mj.body.surface import Surface, load_mesh
-from defplan_mj.body.tetmesh import TetMesh, lumped_mass
+from defplan_mj.body.surface import Surface
+from defplan_mj.body.tetmesh import TetMesh, boundary, lumped_mass
 from defplan_mj.dynamics.terrain import STANDARD_GRAVITY
 from defplan_mj.dynamics.world import GROUND
+from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.gait.style import lateral_share
+from defplan_mj.gait.trials import try_tasks
 from defplan_mj.task import GaitTask, Navigation, TaskSpec, Weights
-from defplan_mj.taskfile.look import View, look
 
 MEDIA = ("water", "ground")
 _ROUND = 0.1  # by how much the two extents across the axis of a round body may differ
-_COARSE = 800  # vertices
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,12 @@ RHYTHMS = {
 }
 """What the shipped tasks have: the fish, the jellyfish-like swimmer, the 4-legged and the T-shaped walker."""
 _MOST_STEPS = 200
+_MOST_MODES = 12
+_BENDING = 1.2  # summed share of the modes that is sideways bending: the fish's first four have 1.9
+_LEAST_ADVANCE, _LEAST_TURN = 0.05, 0.05  # of the length; rad: less is not worth a gait
+_MORE = 2.0  # than a short trial reached is wanted
+_CYCLES = 60  # on the way to a target, about
+_WAYS = 6  # a time-out allows so many times the way
 
 
 @dataclass(frozen=True)
@@ -67,10 +77,12 @@ class Guess:
     Attributes:
         spec: the task.
         sentence: what was guessed, for people.
+        shape: the mesh's surface as it was taken, x ahead and z up.
     """
 
     spec: TaskSpec
     sentence: str
+    shape: Surface
 
 
 def guess_task(
@@ -99,18 +111,16 @@ def guess_task(
     size = 1.0 if length is None else length
     progress("task: reading the mesh", 0.0)
     with threadpool_limits(limits=1):
-        loaded = load_mesh(path, size)
-        view = look(loaded, path.suffix.lower(), medium, up, forward)
+        loaded, view = read_view(path, medium, size, up, forward)
         body = turned(loaded, view.up, view.forward)
         axis = _own_axis(body, view) if medium == "water" else None
         kind = "ground" if medium == "ground" else "planar" if axis is None else "spatial"
         chosen = dataclasses.replace(BODIES[kind], length=size, up=view.up, forward=view.forward)
         progress("task: finding its natural frequencies", 0.3)
-        hertz = _frequencies(body, chosen, str(path))
+        chosen, hertz = _with_modes(path, chosen)
     chosen, hertz = softened(kind, chosen, hertz, size)
     height = float(np.ptp(body.vertices[:, 2]))
     timestep, steps = rhythm(kind, hertz, height)
-    progress("task: guessed", 1.0)
     spec = TaskSpec(
         name=name or f"{plain_name(path.stem)}-{'walk' if kind == 'ground' else 'swim'}",
         description=f"{path.stem}, guessed from its mesh: it {_DOES[kind]}",
@@ -125,7 +135,13 @@ def guess_task(
         terrain=GROUND.terrain if kind == "ground" else None,
         navigation=_navigation(kind, size),
     )
-    return Guess(spec, _sentence(spec, view, kind, hertz, path))
+    if kind != "ground":
+        spec = _as_tried(spec, progress)
+    progress("task: guessed", 1.0)
+    surface = (
+        body if isinstance(body, Surface) else Surface(body.vertices, boundary(body.tetrahedra)[0])
+    )
+    return Guess(spec, _sentence(spec, view, kind, hertz, path), surface)
 
 
 def _own_axis(body: Surface | TetMesh, view: View) -> tuple[float, float, float] | None:
@@ -194,25 +210,62 @@ def softened(
     return dataclasses.replace(options, medium=medium, material=material), hertz * faster
 
 
-def _frequencies(body: Surface | TetMesh, options: BodyOptions, name: str) -> np.ndarray:
-    """Return the natural frequencies with the control stiffness, Hz."""
-    mesh = body if isinstance(body, TetMesh) else _coarse(body, options.vertices, name)
-    material = options.material
+def _with_modes(path: Path, options: BodyOptions) -> tuple[BodyOptions, np.ndarray]:
+    """Return the options with as many modes as a body needs, and their frequencies, Hz.
+
+    Frequencies are with the control stiffness. What swims like a fish needs modes that bend it sideways as a
+    whole; legs and ears are slower and come first. All up to the last one are taken: what is slow moves.
+    """
+    mesh, material = fill_file(path, options).mesh, options.material
     mass = lumped_mass(mesh.vertices, mesh.tetrahedra, material.density)
-    values, modes = linear_modes(mesh, material, mass, options.modes)
+    bends = options.modes == BODIES["planar"].modes
+    values, modes = linear_modes(mesh, material, mass, _MOST_MODES if bends else options.modes)
+    if bends:
+        share = np.cumsum(lateral_share(mesh.vertices, modes, mass))
+        enough = int(np.searchsorted(share, _BENDING)) + 1
+        options = dataclasses.replace(
+            options, modes=int(np.clip(enough, options.modes, _MOST_MODES))
+        )
+        values, modes = values[: options.modes], modes[..., : options.modes]
     correction = stiffness_correction(mesh, material, mass, modes)
     hertz = np.sqrt(values * correction.young) / (2 * np.pi)
-    return hertz * np.sqrt(1.0 + material.control_stiffness)
+    return options, hertz * np.sqrt(1.0 + material.control_stiffness)
 
 
-def _coarse(surface: Surface, vertices: int, name: str) -> TetMesh:
-    """Return a surface filled coarsely if that loses nothing: frequencies are corrected for it."""
-    try:
-        return fill(surface, min(vertices, _COARSE), name)[0]
-    except DefplanError:
-        if vertices <= _COARSE:
-            raise
-        return fill(surface, vertices, name)[0]
+# ---- what it can do
+
+
+def _as_tried(spec: TaskSpec, progress: Progress) -> TaskSpec:
+    """Return a swimmer's task that wants twice what short trials of its body reached: half of it is asked for.
+
+    At most what it wants already, and at least a twentieth of its length and of a radian a cycle. Targets are
+    about as many cycles away as they were.
+    """
+    body = build_body(spec.mesh, spec.body, progress)
+    problem = GaitProblem.of(spec, spec.dynamics(body))
+    size = spec.body.length or 1.0
+    tasks = []
+    for task, done in zip(spec.gait_tasks, try_tasks(problem, progress=progress), strict=True):
+        turn, move = np.array(task.turn), np.array(task.move)
+        if task.angle:
+            turn *= _wanted(_MORE * done.turn, _LEAST_TURN, task.angle) / task.angle
+        if task.advance:
+            move *= (
+                _wanted(_MORE * done.advance, _LEAST_ADVANCE * size, task.advance) / task.advance
+            )
+        tasks.append(dataclasses.replace(task, turn=_triple(turn), move=_triple(move)))
+    slowest = min(task.advance for task in tasks if not task.angle)
+    usual = spec.navigation
+    distance = float(np.clip(_CYCLES * slowest, usual.distance / 2, usual.distance))
+    cycles = int(
+        np.clip(np.ceil(_WAYS * distance / slowest), usual.max_cycles, 3 * usual.max_cycles)
+    )
+    navigation = dataclasses.replace(usual, distance=distance, max_cycles=cycles)
+    return dataclasses.replace(spec, gait_tasks=tuple(tasks), navigation=navigation)
+
+
+def _wanted(done: float, least: float, most: float) -> float:
+    return float(f"{np.clip(done, min(least, most), most):.2g}")
 
 
 # ---- what it is to do
@@ -264,9 +317,14 @@ def _triple(vector: np.ndarray) -> tuple[float, float, float]:
 
 
 BODIES = {
-    "planar": BodyOptions(modes=5, basis=31, samples=16, amplitude=2.0),
+    "planar": BodyOptions(modes=5, basis=31, samples=16, amplitude=2.0, shape_error=MOST_DISTANCE),
     "spatial": BodyOptions(
-        vertices=1500, modes=10, basis=60, samples=24, medium=Medium(righting_height=0.0)
+        vertices=1500,
+        modes=10,
+        basis=60,
+        samples=24,
+        medium=Medium(righting_height=0.0),
+        shape_error=MOST_DISTANCE,
     ),
     "ground": BodyOptions(
         vertices=1500,
@@ -276,6 +334,7 @@ BODIES = {
         amplitude=1.0,
         material=Material(damping=0.15),
         medium=GROUND.medium,
+        shape_error=MOST_DISTANCE,
     ),
 }
 """How bodies are built: about as those of the shipped tasks."""

@@ -6,7 +6,6 @@ import dataclasses
 import difflib
 import math
 import os
-import tomllib
 import typing
 from collections.abc import Callable
 from dataclasses import MISSING, replace
@@ -34,8 +33,10 @@ from defplan_mj.taskfile.fields import (
     optional,
     table_of,
 )
+from defplan_mj.taskfile.source import read_source
 
-MOST_BYTES = 50_000_000
+MOST_WHOLE, MOST_SIZE, MOST_LETTERS = 1_000_000, 1e15, 1000
+"""Of a whole number, of any other number, of a text."""
 _WORDS: dict[type, str] = {
     int: "a whole number",
     float: "a number",
@@ -55,41 +56,8 @@ def read_task(path: str | Path, mesh_needed: bool = True) -> TaskSpec:
         DefplanError: something in the file cannot be; nothing was done yet.
     """
     path = Path(path)
-    text = _text_of(path)
-    try:
-        data = tomllib.loads(text)
-    except RecursionError as error:
-        raise DefplanError(f"{path} cannot be read: it is nested too deeply") from error
-    except ValueError as error:
-        raise DefplanError(_syntax_sentence(path, error)) from error
-    return _Reader(path, lines.key_lines(text)).task(data, mesh_needed)
-
-
-def _text_of(path: Path) -> str:
-    try:
-        if path.is_dir():
-            raise DefplanError(f"{path} is a folder: name the task file in it")
-        if path.stat().st_size > MOST_BYTES:
-            raise DefplanError(f"{path} is too large for a task file")
-        return path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError as error:
-        raise DefplanError(
-            f"task file {path} does not exist: `defplan new MESH -o {path}` writes one"
-        ) from error
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
-        raise DefplanError(f"task file {path} cannot be read: {reason}") from error
-
-
-def _syntax_sentence(path: Path, error: ValueError) -> str:
-    """Return the sentence for a file that is no TOML."""
-    message, _, place = str(error).rpartition(" (at ")
-    if not message:
-        message, place = str(error), ""
-    line = f", {place.rstrip(')').partition(',')[0]}" if place.startswith("line") else ""
-    told = " (at its end)" if place and not line else ""
-    message = message.splitlines()[0][:120]
-    return f"{path}{line}: this is no TOML: {message[:1].lower()}{message[1:]}{told}"
+    data, places = read_source(path, "task file", f"`defplan new MESH -o {path}` writes one")
+    return _Reader(path, places).task(data, mesh_needed)
 
 
 class _Reader:
@@ -167,12 +135,16 @@ class _Reader:
             self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {wanted}")
         if kind is float and isinstance(data, int | float):
             return self.number(data, path)
+        if isinstance(data, str) and len(data) > MOST_LETTERS:
+            self.fail(path, f"{_called(path)} is longer than {MOST_LETTERS} letters")
         if kind is Path and isinstance(data, str):
             if "\0" in data or not data:
                 self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {wanted}")
             return Path(os.path.abspath(self.file.parent / Path(data).expanduser()))
         if not isinstance(data, kind):
             self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {wanted}")
+        if kind is int and abs(data) > MOST_WHOLE:
+            self.fail(path, f"{_called(path)} is {_shown(data)}: it can be {MOST_WHOLE} at most")
         return data
 
     def number(self, data: int | float, path: lines.Path) -> float:
@@ -181,8 +153,11 @@ class _Reader:
             value = float(data)
         except OverflowError:
             value = math.inf
-        if not math.isfinite(value):
-            self.fail(path, f"{_called(path)} is {_shown(data)}: it must be a finite number")
+        if not abs(value) <= MOST_SIZE:
+            self.fail(
+                path,
+                f"{_called(path)} is {_shown(data)}: it must be a finite number, {MOST_SIZE:g} at most",
+            )
         return value
 
     def row(self, data: Any, kinds: tuple[Any, ...], path: lines.Path) -> tuple:
@@ -212,6 +187,8 @@ class _Reader:
         """Return what makes the picture of an installed task's body."""
         if not isinstance(data, str):
             self.fail(path, f"{_called(path)} is {_shown(data)}: it must be a task's name")
+        if len(data) > MOST_LETTERS:
+            self.fail(path, f"{_called(path)} is longer than {MOST_LETTERS} letters")
         try:
             return registry.get_task(data).skin
         except DefplanError as error:
@@ -290,7 +267,7 @@ class _Reader:
         told = [("mesh", spec.mesh, "mesh file")]
         told += [("shipped", path, "file") for path in spec.shipped or ()]
         for name, path, what in told:
-            if not path.is_file():
+            if not os.path.isfile(path):  # False, too, if there can be no such name
                 near = _nearest_file(path)
                 self.fail((name,), f"the {what} {path} does not exist{near}")
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.planning.observation import Senses
@@ -136,18 +137,35 @@ class DqlSolver:
             DefplanError: the file is missing, damaged, of another version, planner or robot.
         """
         arrays, meta = load_policy(path, self.name, surrogate.task_names)
-        layers = range(meta["layers"])
-        network = QNetwork(
-            tuple(arrays[f"weight{i}"] for i in layers), tuple(arrays[f"bias{i}"] for i in layers)
-        )
-        trained = replace(navigation, laser_range=meta["laser_range"])
-        planner = DqlPlanner(network, surrogate, trained, meta["training"])
+        with files.fields_of(path, "policy"):
+            network = _network(arrays, meta["layers"], len(surrogate.task_names))
+            reach = float(meta["laser_range"])
+            if not 0.0 < reach < np.inf:
+                raise ValueError("laser_range must be positive")
+            trained = replace(navigation, laser_range=reach)
+            planner = DqlPlanner(network, surrogate, trained, dict(meta["training"]))
         if network.weights[0].shape[1] != planner.senses.size:
             raise DefplanError(
                 f"{path} wants {network.weights[0].shape[1]} inputs, this task's laser, target and"
                 f" gaits give {planner.senses.size}: train the planner anew"
             )
         return planner
+
+
+def _network(arrays: dict[str, np.ndarray], layers: int, gaits: int) -> QNetwork:
+    """Return the network of a file. Raises ValueError or KeyError: its layers do not fit."""
+    if len(arrays) != 2 * layers or layers < 1:
+        raise ValueError(f"{len(arrays)} arrays are not those of {layers} layers")
+    weights = tuple(arrays[f"weight{i}"] for i in range(layers))
+    biases = tuple(arrays[f"bias{i}"] for i in range(layers))
+    size = weights[0].shape[1]
+    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        if weight.ndim != 2 or weight.shape[1] != size or bias.shape != weight.shape[:1]:
+            raise ValueError(f"weight{i} and bias{i} do not fit the layers about them")
+        size = len(weight)
+    if size != gaits:
+        raise ValueError(f"it values {size} gaits, there are {gaits}")
+    return QNetwork(weights, biases)
 
 
 SOLVER = DqlSolver()

@@ -13,12 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.policy_files import load_policy, save_policy
+
+_MOST_LAYERS, _MOST_UNITS = 16, 2048  # of a network that is read
 
 if TYPE_CHECKING:
     from defplan_solvers.dql.paper_training import PaperNetwork
@@ -144,15 +147,27 @@ class DqlPaperSolver:
         from defplan_solvers.dql.paper_training import PaperNetwork
 
         arrays, meta = load_policy(path, self.name, surrogate.task_names)
-        if (meta["beams"], meta["space"]) != (navigation.beams, navigation.space):
-            raise DefplanError(
-                f"{path} was trained for {meta['beams']} beams in {meta['space']} scenes, not for"
-                f" {navigation.beams} in {navigation.space} ones: train the planner anew"
-            )
-        trained = replace(navigation, laser_range=meta["laser_range"])
-        network = PaperNetwork(trained, len(surrogate.task_names), tuple(meta["hidden"]))
-        network.load_state_dict({k: torch.from_numpy(v) for k, v in arrays.items()})
-        return DqlPaperPlanner(network, surrogate.task_names, meta["training"])
+        with files.fields_of(path, "policy"):
+            if (meta["beams"], meta["space"]) != (navigation.beams, navigation.space):
+                raise DefplanError(
+                    f"{path} was trained for {meta['beams']} beams in {meta['space']} scenes, not for"
+                    f" {navigation.beams} in {navigation.space} ones: train the planner anew"
+                )
+            hidden, reach = tuple(meta["hidden"]), float(meta["laser_range"])
+            # before layers are made for them
+            if len(hidden) > _MOST_LAYERS or not all(
+                isinstance(n, int) and 0 < n <= _MOST_UNITS for n in hidden
+            ):
+                raise ValueError(f"hidden can be {_MOST_LAYERS} layers of {_MOST_UNITS} units")
+            if not 0.0 < reach < float("inf"):
+                raise ValueError("laser_range must be positive")
+            trained = replace(navigation, laser_range=reach)
+            network = PaperNetwork(trained, len(surrogate.task_names), hidden)
+            try:
+                network.load_state_dict({k: torch.from_numpy(v) for k, v in arrays.items()})
+            except RuntimeError as error:
+                raise ValueError("its arrays do not fit its layers") from error
+            return DqlPaperPlanner(network, surrogate.task_names, dict(meta["training"]))
 
 
 SOLVER = DqlPaperSolver()

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 from defplan_mj.base.progress import Progress
@@ -112,6 +113,8 @@ def train(
         env = _Robots(surrogate, navigation, seed, recipe)
         model = _build(env, seed, recipe)
         watch = _Checkpoints(surrogate, navigation, seed, recipe, seconds, progress)
+        # its own would leave a folder SB3-... among the temporary files
+        model.set_logger(Logger(None, []))
         model.learn(recipe.transitions, callback=watch, log_interval=1_000_000_000)
     finally:
         torch.set_num_threads(threads)
@@ -286,6 +289,7 @@ class _Checkpoints(BaseCallback):
     def _on_training_start(self) -> None:
         assert isinstance(self.model, DQN)
         self.averaged = copy.deepcopy(self.model.q_net)
+        self.evaluate()  # the curves begin where the training does
 
     def _on_step(self) -> bool:
         assert isinstance(self.model, DQN)

@@ -18,6 +18,7 @@ import numpy as np
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.gait.trials import bent_gaits
 from defplan_solvers.gait.shooting_walk import Trace, Walking
 
 IPOPT = {
@@ -167,17 +168,14 @@ class Shooting:
             alone = problem.alone(j)
             cost = alone.objective([[0] * self.start_cycles], settle=2)
             best = np.inf
-            for mode in range(problem.dynamics.nu):
-                for bend in 0.5 * np.array([-1, -0.6, -0.3, 0.3, 0.6, 1]):
-                    a, b = alpha.copy(), beta.copy()
-                    a[-1, mode] += bend * problem.dynamics.body.amplitude[mode]
-                    b[-1] = 0
-                    try:
-                        value = float(cost(alone.join(mu, a[None], b[None])))
-                    except RuntimeError:  # a step of this start did not converge: not a start
-                        continue
-                    if value < best:
-                        best, all_alpha[j], all_beta[j] = value, a, b
+            for w in bent_gaits(alone, alone.join(mu, alpha[None], beta[None])):
+                try:
+                    value = float(cost(w))
+                except RuntimeError:  # a step of this start did not converge: not a start
+                    continue
+                if value < best:
+                    _, a, b = alone.split(w)
+                    best, all_alpha[j], all_beta[j] = value, a[0], b[0]
         return problem.join(mu, all_alpha, all_beta)
 
     def _minimise(

@@ -75,6 +75,7 @@ def search(
     least: float,
     target: np.ndarray,
     before: int = -1,
+    horizon: float = HORIZON,
 ) -> int | None:
     """Return the first gait of a short way to the target, or None if there is none.
 
@@ -87,6 +88,7 @@ def search(
         least: clearance that cycles keep in any case, m.
         target: (d,) m, in the robot's frame.
         before: the gait of the cycle before; -1: the robot is at rest.
+        horizon: a way that gets this far is good enough, m.
     """
     d, room = len(target), NODES + AT_ONCE * max(len(after.first) for after in steps)
     position, frames = np.zeros((room, d)), np.zeros((room, d, d))
@@ -123,7 +125,7 @@ def search(
             begun = first[nodes][parent]
             first[new] = begun = np.where(begun < 0, after.first[step], begun)
             rest = outlook.cycles(np.einsum("nij,ni->nj", facing, target - end))
-            near[new] = (rest == 0) | (np.einsum("nd,nd->n", end, end) > HORIZON**2)
+            near[new] = (rest == 0) | (np.einsum("nd,nd->n", end, end) > horizon**2)
             keys[new, :d] = np.floor(end / CELL)
             keys[new, d:] = np.round(facing @ outlook.axes[0] / alike)
             if rest.min() < nearest:

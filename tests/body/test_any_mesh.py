@@ -14,11 +14,11 @@ import trimesh
 
 from defplan_mj import cli
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.body import axes
 from defplan_mj.body.cells import FACES, split_cells, split_polygons
 from defplan_mj.body.fidelity import covered_volume, measure
 from defplan_mj.body.formats import read_file
 from defplan_mj.body.loading import fill_file
+from defplan_mj.body.look import look
 from defplan_mj.body.meshing import stuff
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.body.repair import repair
@@ -248,23 +248,21 @@ def test_axes_are_told_or_guessed_by_the_mirror():
     fin = trimesh.creation.box([0.02, 0.3, 0.2])
     fin.apply_translation([0, 0.25, 0.4])
     shape = surface_of(trimesh.util.concatenate([cone, fin]))
-    rotation, said = axes.turn(shape, None, None)
-    np.testing.assert_allclose(rotation @ [0, 1, 0], [0, 0, 1])
-    np.testing.assert_allclose(rotation @ [0, 0, 1], [1, 0, 0])
-    assert "guess" in said and "--up" in said and np.linalg.det(rotation) == pytest.approx(1.0)
-    rotation, said = axes.turn(shape, "-z", "y")
-    np.testing.assert_allclose(rotation @ [0, 0, -1], [0, 0, 1])
-    np.testing.assert_allclose(rotation @ [0, 1, 0], [1, 0, 0])
-    assert np.array_equal(axes.turn(surface_of(pill()), None, None)[0], np.eye(3))
+    view = look(shape)
+    assert (view.up, view.forward) == ("y", "-z") and "left and right are alike" in view.why
+    view = look(shape, up="-z", forward="y")
+    assert (view.up, view.forward, view.why) == ("-z", "y", "")
+    view = look(surface_of(pill()))
+    assert (view.up, view.forward) == ("z", "x")
     with pytest.raises(DefplanError, match="different axes"):
-        axes.turn(shape, "z", "-z")
+        look(shape, up="z", forward="-z")
 
 
 def test_gltf_is_turned_as_its_format_says(tmp_path):
     pill().export(tmp_path / "pill.glb")
     mesh = fill_file(tmp_path / "pill.glb", BodyOptions(vertices=150))
     np.testing.assert_allclose(np.ptp(mesh.mesh.vertices, 0), [0.3, 1.0, 0.4], atol=0.04)
-    assert "by the format" in mesh.notes[0]
+    assert "y of the file is up, z is forward" in mesh.notes[0]
 
 
 def test_a_file_cut_short_and_random_bytes_are_called_that(tmp_path):

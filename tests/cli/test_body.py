@@ -126,7 +126,7 @@ def test_a_bad_mesh_is_one_sentence_that_names_the_file(make, says, tmp_path, ca
     code, out, err = run(["body", str(mesh), "-o", str(output), *SMALL], capfd)
     assert code == 1
     assert out == ""
-    assert err.startswith("defplan: ") and err.count("\n") == 1
+    assert err.startswith("defplan body: ") and err.count("\n") == 1
     assert "bad.stl" in err and "mistake in defplan" not in err
     assert any(word in err for word in says.split("|")), err
     assert not output.exists()

@@ -17,7 +17,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli import commands
 from defplan_mj.cli.console import Console, table
 
-COMMANDS = "list run body gait surrogate planner evaluate bench compare replay view".split()
+COMMANDS = "list run study body gait surrogate planner evaluate bench compare replay view".split()
 
 
 @pytest.fixture
@@ -133,7 +133,7 @@ def test_an_error_is_one_sentence_on_stderr_and_a_traceback_only_with_debug(
     assert cli.main(["list", "--json"]) == code
     captured = capfd.readouterr()
     assert captured.out == ""
-    assert captured.err.startswith("defplan: ") and captured.err.count("\n") == 1
+    assert captured.err.startswith("defplan list: ") and captured.err.count("\n") == 1
     assert sentence in captured.err
     assert cli.main(["list", "--debug"]) == code
     assert "Traceback" in capfd.readouterr().err
@@ -172,7 +172,10 @@ def test_a_full_disk_under_stdout_is_an_error():
                 text=True,
             )
         assert done.returncode == 1
-        assert done.stderr.startswith("defplan: the disk is full") and done.stderr.count("\n") == 1
+        assert (
+            done.stderr.startswith("defplan list: the disk is full")
+            and done.stderr.count("\n") == 1
+        )
 
 
 def test_a_reader_that_has_seen_enough_is_no_error_message():
@@ -234,3 +237,41 @@ def test_a_progress_bar_does_not_show_before_there_is_progress(monkeypatch):
 def test_a_table_lines_up_its_columns():
     text = table(["name", "µs"], [["step", 61.5], ["laser", 9]])
     assert text == "name     µs\n-----  ----\nstep   61.5\nlaser     9"
+
+
+@pytest.mark.parametrize(
+    ("argv", "sentence"),
+    [
+        (["body", "DIR"], "defplan body: mesh file DIR is a folder: name a file in it"),
+        (["new", "DIR", "--medium", "water"], "defplan new: DIR is a folder: name a mesh"),
+        (["run", "DIR", "--medium", "water"], "defplan run: DIR is a folder: name a task"),
+        (["gait", "DIR"], "defplan gait: DIR is a folder, no task: name a mesh or a task file"),
+        (["gait", "fish-swm"], "defplan gait: there is no task fish-swm, did you mean fish-swim?"),
+    ],
+)
+def test_a_folder_is_no_mesh_and_no_task(tmp_path, argv, sentence, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "DIR").mkdir()
+    assert cli.main([*argv, "--quiet"]) == 1
+    captured = capfd.readouterr()
+    assert captured.err.startswith(sentence) and captured.err.count("\n") == 1
+
+
+def test_a_plugin_that_returns_none_is_named():
+    from defplan_mj.gait.gait import Gait
+    from defplan_mj.pipeline.making import expect
+
+    with pytest.raises(DefplanError, match="the gait solver mine returns None from solve: .* Gait"):
+        expect(None, Gait, "the gait solver mine", "solve")
+    with pytest.raises(DefplanError, match="returns a list from solve"):
+        expect([], Gait, "the gait solver mine", "solve")
+
+
+def test_plain_progress_tells_the_time_that_is_left(capfd, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    with Console().progress() as progress:
+        progress("gait (stage 2 of 7): forward", 0.0)
+        now[0] = 60.0
+        progress("gait (stage 2 of 7): forward", 0.25)
+    assert "gait (stage 2 of 7): forward  25%, about 3 min left" in capfd.readouterr().err

@@ -17,10 +17,12 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait import switching
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem, balanced_sequence
-from defplan_mj.gait.style import lateral_share, pulse_share
+from defplan_mj.gait.style import pulse_share, sideways_share
+from defplan_mj.gait.trials import try_tasks
 from defplan_mj.task import GaitTask, Weights
 from defplan_tasks.fish import SWIM
 
+AHEAD = np.array([1.0, 0.0, 0.0])
 TASKS, WEIGHTS = SWIM.gait_tasks, SWIM.weights
 
 
@@ -34,7 +36,7 @@ def unknowns(problem: GaitProblem) -> np.ndarray:
     """An undulation: the lateral modes beat."""
     rng = np.random.default_rng(3)
     d, r, k = problem.elements, problem.dynamics.nu, problem.n_tasks
-    share = lateral_share(problem.dynamics.body)
+    share = sideways_share(problem.dynamics.body, AHEAD)
     alpha = 0.3 * share * rng.normal(size=(k, d, r))
     return problem.join(rng.uniform(0, 6, (d, r)), alpha, 1 + 0.3 * rng.normal(size=(k, d, r)))
 
@@ -101,7 +103,7 @@ def test_the_objective_is_the_cost_of_the_simulated_cycles(
             + weights.sink * move[2] ** 2
         )
     _, _, beta = problem.split(unknowns)
-    share, amplitude = lateral_share(dynamics.body), dynamics.body.amplitude
+    share, amplitude = sideways_share(dynamics.body, AHEAD), dynamics.body.amplitude
     effort = ((shapes / amplitude) ** 2).mean((0, 1)) @ (1 - share)
     wanted = np.mean(costs) + weights.effort * effort + weights.sharpness * (beta**2).mean()
     assert value == pytest.approx(wanted, rel=1e-9)
@@ -127,13 +129,13 @@ def test_every_transition_is_used_about_equally_often() -> None:
 
 
 def test_the_lateral_share_tells_sideways_bending_from_the_rest(small_fish: Body) -> None:
-    share = lateral_share(small_fish)
+    share = sideways_share(small_fish, AHEAD)
     assert ((share >= 0) & (share <= 1)).all()
     # whole-body sway along y is lateral, along z is not
     sway = np.zeros((len(small_fish.vertices), 3, 2))
     sway[:, 1, 0] = sway[:, 2, 1] = small_fish.vertices[:, 0]
     np.testing.assert_allclose(
-        lateral_share(dataclasses.replace(small_fish, modes=sway)), [1, 0], atol=0.01
+        sideways_share(dataclasses.replace(small_fish, modes=sway), AHEAD), [1, 0], atol=0.01
     )
 
 
@@ -292,3 +294,10 @@ def test_in_space_switching_is_measured_about_the_tasks_axis_in_the_body_frame(
             assert measured.drift[cycle] == pytest.approx(np.hypot(move[0], move[1]))
         wrong = measured.angle[cycle] <= 0 if measured.task[cycle] else move[2] <= 0
         assert measured.wrong_way[cycle] == (wrong and cycle >= 2)
+
+
+def test_a_short_trial_tells_what_a_body_can_do(problem: GaitProblem) -> None:
+    done = try_tasks(problem)
+    forward, left, right = done
+    assert forward.advance > 0.03 and left.turn > 0.05 and right.turn > 0.05
+    assert max(trial.advance for trial in done) < 1.0

@@ -49,14 +49,14 @@ def test_cameras_see_fish_and_obstacles(states, camera):
     [frame] = render_states(
         samples.fish(), states[:1], scene, size=SIZE, camera=camera, texture=SKIN
     )
-    blue = (frame[..., 2].astype(int) > frame[..., 0] + 80) & (frame[..., 2] > frame[..., 1] + 50)
+    blue = _blue(frame)
     assert _orange(frame).any() and blue.sum() > 30
 
 
 def _blue(frame: np.ndarray) -> np.ndarray:
     """Return where the picture shows an obstacle."""
     red, green, blue = (frame[..., i].astype(int) for i in range(3))
-    return (blue > red + 60) & (blue > green + 35)
+    return (blue > red + 40) & (blue > green + 40)
 
 
 @pytest.mark.usefixtures("rendering")
@@ -135,3 +135,41 @@ def test_no_way_to_draw_is_one_sentence(monkeypatch):
     monkeypatch.setattr(render, "_BACKENDS", ("nothing",))
     with pytest.raises(DefplanError, match="install libegl1 or libosmesa6"):
         render._open_context(*SIZE)
+
+
+@pytest.mark.usefixtures("rendering")
+def test_the_side_camera_turns_with_the_heading_and_not_with_the_stroke(states):
+    turned = np.repeat(states[:1], 60, axis=0)
+    turned[:, 3:7] = [np.cos(0.7), 0, 0, np.sin(0.7)]
+    frames = [
+        render_states(samples.fish(), some, size=SIZE, camera="side", timestep=0.04, texture=SKIN,
+                      trail=False)[30]
+        for some in (np.repeat(states[:1], 60, axis=0), turned)
+    ]  # fmt: skip
+    shown = [np.argwhere(_orange(frame)) for frame in frames]
+    wide = [np.ptp(places[:, 1]) for places in shown]
+    assert min(wide) > SIZE[0] / 4 and abs(wide[0] - wide[1]) <= 3
+
+
+@pytest.mark.usefixtures("rendering")
+def test_a_caption_is_written_into_the_corner(states):
+    plain, written = (
+        render_states(samples.fish(), states[:1], size=(256, 192), caption=caption)[0].astype(int)
+        for caption in (None, lambda index: ("time", "1.0 s"))
+    )
+    changed = np.abs(plain - written).sum(2) > 60
+    assert changed[:60, :128].any() and not changed[100:].any()
+
+
+@pytest.mark.parametrize(
+    ("name", "camera", "sentence"),
+    [
+        ("folder", "chase", "is a folder: name a video in it"),
+        ("x.avi", "chase", "end its name in .mp4"),
+        ("x.mp4", "sde", "there is no camera sde, did you mean side?"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_before_the_work(tmp_path, name, camera, sentence):
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(DefplanError, match=sentence):
+        render.check_video(tmp_path / name, camera)

@@ -21,7 +21,6 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import no_progress
 from defplan_mj.body.build import build_body
 from defplan_mj.cli.text import STAGE_TEXTS, run_text
-from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.replay import replay_log
 from defplan_mj.pipeline.evaluation import SPEEDS
@@ -35,86 +34,10 @@ from defplan_mj.planning.outcome import ENDINGS
 from defplan_mj.planning.planner import TrainResult
 from defplan_mj.report.material import gather
 from defplan_mj.report.report import SECTIONS
-from defplan_mj.task import BodyOptions, Navigation, TaskSpec
+from defplan_mj.task import TaskSpec
 from tests.samples.processes import heed_ctrl_c
-
-NAVIGATION = Navigation(
-    distance=4.0, max_cycles=4, k2=2, k2_obstacles=1, novel_obstacles=2, beams=16
-)
-
-
-class Wave:
-    """A gait solver that optimises nothing: a travelling wave with a bend to either side."""
-
-    kind = "gait"
-    summary = "a wave"
-
-    def __init__(self, name="wave"):
-        self.name = name
-        self.calls = 0
-
-    def solve(self, problem, seed, progress=no_progress):
-        self.calls += 1
-        progress("gait: waving", 0.5)
-        body = problem.dynamics.body
-        alpha = np.zeros((3, problem.elements, body.n_modes))
-        alpha[:, 0, :2] = 0.2 * body.amplitude[:2]
-        alpha[:, 1, 0] = 0.3 * np.array([0.0, 1.0, -1.0]) * body.amplitude[0]
-        beta = np.zeros_like(alpha)
-        beta[:, 0] = 1.0
-        mu = np.zeros((problem.elements, body.n_modes))
-        mu[0, 1] = np.pi / 2
-        return Gait(
-            body_hash=body.hash,
-            task_names=tuple(task.name for task in problem.tasks),
-            timestep=problem.dynamics.timestep,
-            steps_per_cycle=problem.steps_per_cycle,
-            alpha=alpha,
-            beta=beta,
-            mu=mu,
-            amplitude=body.amplitude,
-            meta={"solver": self.name, "seed": seed},
-        )
-
-
-class Lame(Wave):
-    """A gait solver that fails."""
-
-    def solve(self, problem, seed, progress=no_progress):
-        raise DefplanError("it cannot walk")
-
-
-class Straight:
-    """A planner that always takes the first gait."""
-
-    def reset(self):
-        pass
-
-    def values(self, observation):
-        return np.array([1.0, 0.0, 0.0])
-
-
-class Stubborn:
-    """The plugin of `Straight`."""
-
-    kind = "planner"
-    name = "stubborn"
-    summary = "never turns"
-    needs_training = False
-
-    def __init__(self):
-        self.calls = 0
-
-    def train(self, surrogate, navigation, seed, seconds=None, progress=no_progress):
-        self.calls += 1
-        return TrainResult(Straight(), {"iterations": np.arange(3.0)}, 0.0)
-
-    def save(self, planner, path):
-        files.save_archive(path, "stubborn", 1, {}, {})
-
-    def load(self, path, surrogate, navigation):
-        files.load_archive(path, "stubborn", 1)
-        return Straight()
+from tests.samples.solvers import Lame, Straight, Stubborn, Wave
+from tests.samples.tiny_run import NAVIGATION, SMALL
 
 
 @dataclasses.dataclass
@@ -140,9 +63,6 @@ class Setting:
         ) as run:
             results = run_results(run)
         return results, (self.wave.calls - before[0], self.stubborn.calls - before[1])
-
-
-SMALL = BodyOptions(vertices=300, modes=4, basis=12, samples=10, drag_points=24)
 
 
 @pytest.fixture(scope="module")
@@ -610,12 +530,12 @@ def test_ctrl_c_in_the_middle_of_a_stage_is_one_sentence_and_exit_code_130(tmp_p
     process = start(["gait", "fish-swim", "--logs", str(tmp_path)])
     assert process.stderr is not None
     for line in process.stderr:
-        if line.startswith("body: finding"):
+        if line.startswith("body (stage 1 of 2): finding"):
             break
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert out == "" and err.splitlines()[-1] == "defplan: stopped; run it again to go on"
+    assert out == "" and err.splitlines()[-1] == "defplan gait: stopped; run it again to go on"
     assert "Traceback" not in err
     left = sorted(path.name for path in (tmp_path / "fish-swim-seed0").iterdir())
     assert left == [".lock"]
@@ -626,12 +546,12 @@ def test_ctrl_c_while_casadi_solves_keeps_the_body(tmp_path):
     process = start(["gait", "fish-swim", "--logs", str(tmp_path)])
     assert process.stderr is not None
     for line in process.stderr:
-        if line.startswith("gait:"):
+        if line.startswith("gait (stage 2 of 2):"):
             break
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert err.splitlines()[-1] == "defplan: stopped; run it again to go on"
+    assert err.splitlines()[-1] == "defplan gait: stopped; run it again to go on"
     left = sorted(path.name for path in (tmp_path / "fish-swim-seed0").iterdir())
     assert left == [".lock", "body.npz", "run.json"]
 

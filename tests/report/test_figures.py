@@ -10,6 +10,7 @@ from defplan_mj.body.tetmesh import boundary
 from defplan_mj.log.plotting import view
 from defplan_mj.report.content import duration, mean_sd, number, percent
 from defplan_mj.report.figures.drawing import outlines
+from defplan_mj.report.figures.preview import preview_figure
 from defplan_mj.report.figures.views import episode_views
 
 
@@ -102,3 +103,16 @@ def test_numbers_are_written_for_people():
     ]
     assert (percent(1.0), percent(0.975), percent(0.0)) == ("100%", "97.5%", "0%")
     assert (number(None), number(float("nan")), mean_sd(1, 0.5, 1)) == ("–", "–", "1.0 ± 0.5")
+
+
+def test_a_preview_shows_which_way_a_mesh_looks():
+    figure = preview_figure(*_long_box())
+    words = [[text.get_text() for text in axes.texts] for axes in figure.axes]
+    assert words == [["ahead", "up"], ["ahead"], ["up"], ["ahead", "up"]]
+    ahead, up = figure.axes[0].texts
+    assert ahead.get_position()[0] > 0.5 and up.get_position()[1] > 0.5  # to the right; upwards
+
+
+def _long_box() -> tuple[np.ndarray, np.ndarray]:
+    box = trimesh.creation.box((1.0, 0.3, 0.4))
+    return np.asarray(box.vertices), np.asarray(box.faces)

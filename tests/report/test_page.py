@@ -15,9 +15,11 @@ import pytest
 
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.run_files import RunFiles
 from defplan_mj.report import write_report
+from defplan_mj.report.material import Material
 from defplan_mj.report.sections.trajectories import MANY
 from tests.samples.bodies import pebble
 from tests.samples.logs import (
@@ -189,7 +191,7 @@ def test_a_spatial_run_is_drawn_from_all_sides_and_knows_no_heading(spatial_run)
         assert word not in text, word
     assert "rotation mean (rad)" in text
     # Wilson's interval of 2 of 40: 0.0138 to 0.1650
-    assert "fall" in page.text["success"] and "5% (1–17%)" in page.text["success"]
+    assert "fall" not in page.text["success"] and "5% (1–17%)" in page.text["success"]
     assert "40 episodes a speed" in page.text["success"]
 
 
@@ -324,3 +326,36 @@ def test_names_in_a_run_cannot_break_the_page(run, tmp_path):
 def test_a_missing_folder_is_one_sentence(tmp_path):
     with pytest.raises(DefplanError, match="does not exist"):
         write_report(tmp_path / "none")
+
+
+def test_the_page_is_for_dark_screens_and_for_who_does_not_see_the_pictures(page, run):
+    html = (run / "report.html").read_text()
+    pictures = re.findall(r'<img src="data:image/svg\+xml;base64,([^"]+)" alt="([^"]+)"', html)
+    assert len(pictures) > 8 and html.count("<img") == len(pictures)
+    assert len({alt for _, alt in pictures}) == len(pictures), "each has a text of its own"
+    for data, alt in pictures:
+        drawing = base64.b64decode(data).decode()
+        assert "@media (prefers-color-scheme: dark)" in drawing, alt
+        # no white card behind it: the first path would be a white rectangle
+        assert "fill: #ffffff" not in drawing and "fill: white" not in drawing, alt
+    assert any("m^2" in alt and "transitions" in alt for _, alt in pictures)
+
+
+def test_the_paper_s_tables_stand_beside_the_run_s_figures(page, run):
+    text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", (run / "report.html").read_text()))
+    assert "features of the laser (CNN) in the planner&#39;s 0.7 h" in text
+    assert "wavelets of a gait, D 2 5" in text
+    assert "gait cycles of an episode at most, N₂ 200 200" in text
+    assert "transitions of the whole training 40,000 –" in text
+    assert " fall " not in text.split("Does it arrive?")[2].split("Trajectories")[0]
+
+
+def test_still_obstacles_are_the_speed_0_of_the_moving_ones():
+    from defplan_mj.report.sections.success import _still
+
+    good = {"episodes": 10, "success": 0.9}
+    evaluation = {"k2": {"with_shield": good, "without_shield": {**good, "success": 0.1}}}
+    [row] = _still(Material(Path(), documents={"evaluation": evaluation}))
+    assert (row["speed"], row["success"], row["episodes"]) == (0.0, 0.9, 10)
+    assert row["interval"]["success"] == pytest.approx(wilson_interval(9, 10))
+    assert _still(Material(Path())) == []

@@ -299,3 +299,28 @@ def test_one_place_finds_a_task_by_name_and_by_file(small, tmp_path, monkeypatch
     (tmp_path / "shark").write_text("")
     with pytest.raises(DefplanError, match=r"ends in \.toml"):
         find_task("shark")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("a = " + "[" * 5000, "nested too deeply"),
+        ("[a" + ".a" * 50_000 + "]", "nested too deeply"),
+        ("a." * 100_000 + "b = 1", "nested too deeply"),
+        ("".join(f"[a{i}]\n" for i in range(30_000)), "more than 20000 brackets"),
+        ('x = "' + "a" * 1_000_000 + '"', "too large for a task file"),
+        ('mesh = "' + "a" * 100_000 + '"', "is longer than 1000 letters"),
+        ("steps_per_cycle = 99999999999", "it can be 1000000 at most"),
+    ],
+)
+def test_a_file_that_asks_for_too_much_is_refused(tmp_path, text, why):
+    path = tmp_path / "x.toml"
+    if "=" in text and text.startswith(("mesh", "steps")):
+        rest = {"mesh": "x.stl", "timestep": 0.02, "steps_per_cycle": 30}
+        own = text.partition(" ")[0]
+        text += "".join(f"\n{k} = {v!r}" for k, v in rest.items() if k != own)
+        text += '\n[[gait_tasks]]\nname = "forward"\nmove = [1.0, 0, 0]'
+    path.write_text(text)
+    with pytest.raises(DefplanError, match=why) as told:
+        read_task(path)
+    assert len(str(told.value)) < 500

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from defplan_mj.base.space import SPACES
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait, dmp
-from defplan_mj.log.plotting import FAINT, INK, PATH, SERIES, new_figure, styled, view
+from defplan_mj.log.plotting import FAINT, INK, PATH, SERIES, label_of, new_figure, styled, view
 from defplan_mj.report.figures.drawing import draw_surface, silhouette
 from defplan_mj.report.figures.views import PICTURES, View
 
@@ -45,14 +45,14 @@ def controls_figure(gait: Gait, task: int) -> Figure:
     axes.axvline(gait.cycle_seconds, color=FAINT, lw=0.7, ls=":")
     axes.set_xlim(0, 2 * gait.cycle_seconds)
     axes.set(xlabel="time (s)")
-    title = gait.task_names[task]
+    title = label_of(gait.task_names[task])
     if apart:
         axes.set_yticks([-2.1 * bound * i for i in range(len(curves))], names)
         axes.tick_params(axis="y", length=0)
         axes.set_ylim(-2.1 * bound * (len(curves) - 0.4), 1.2 * bound)
         axes.set_title(f"{title}; lines are {2.1 * bound:.1f} apart", fontweight="bold", loc="left")
     else:
-        axes.set(ylabel="target shape", ylim=(-1.08 * bound, 1.08 * bound))
+        axes.set(ylabel="target shape (1)", ylim=(-1.08 * bound, 1.08 * bound))
         axes.set_title(title, fontweight="bold", loc="left")
         figure.legend(loc="outside right center", handlelength=1.2)
     return figure
@@ -83,7 +83,7 @@ def path_figures(
         draw_path(axes, seen.place(states[:, :3]), over=PICTURES[space].turning)
         draw_bodies(axes, dynamics, bodies, seen)
         axes.scatter(*seen.place(ends).T, s=5, color=INK, zorder=5)
-        name = f"{gait.task_names[task]}: {len(states) - 1} steps from rest"
+        name = f"{label_of(gait.task_names[task])}: {len(states) - 1} steps from rest"
         axes.set_title(name if seen.name == "from above" else f"{name}, {seen.name}", loc="left")
         seen.finish(axes, dynamics.body.length)
         figures.append(figure)
@@ -122,7 +122,7 @@ def strip_figure(
             )  # fmt: skip
         axes.set_xlim(low[0] - 0.05 * gap, high[0] + (SHOWN - 1) * gap + 0.05 * gap)
         axes.set_ylim(low[1] - 0.3 * gap, high[1] + 0.05 * gap)
-        axes.set_title(f"{gait.task_names[task]}, {label}", loc="left", fontsize=8)
+        axes.set_title(f"{label_of(gait.task_names[task])}, {label}", loc="left", fontsize=8)
     return figure
 
 
@@ -138,7 +138,7 @@ def history_figure(history: Sequence[float]) -> Figure:
     # line searches may try costs far above all others
     low, high = best[-1], np.percentile(values, 90)
     axes.set_ylim(low - 0.08 * (high - low) - 1e-9, high + 0.3 * (high - low) + 1e-9)
-    axes.set(xlabel="iteration", ylabel="objective")
+    axes.set(xlabel="iteration", ylabel="objective (1)")
     return figure
 
 

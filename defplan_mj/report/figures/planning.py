@@ -9,14 +9,26 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.log.plotting import FAINT, INK, OBSTACLE, PATH, SERIES, TARGET, new_figure, styled
+from defplan_mj.log.plotting import (
+    FAINT,
+    INK,
+    OBSTACLE,
+    PATH,
+    SERIES,
+    TARGET,
+    label_of,
+    new_figure,
+    styled,
+)
 from defplan_mj.log.reader import EpisodeLog
+from defplan_mj.planning.outcome import SCENES
 from defplan_mj.report.figures.gaits import draw_bodies, draw_path, states_along
 from defplan_mj.report.figures.views import PICTURES, View, episode_views
 
-_ABSCISSAE = {"transitions": "transitions", "iterations": "iterations", "seconds": "seconds"}
+_ABSCISSAE = {"transitions": "transitions", "iterations": "iterations", "seconds": "time (s)"}
 _REWARD = "#c8392b"  # the paper's red mean, on grey from minimum to maximum
 
 
@@ -33,7 +45,8 @@ def reward_figure(curves: Mapping[str, np.ndarray]) -> Figure | None:
     if low is not None and high is not None:
         axes.fill_between(x, low, high, color=FAINT, alpha=0.35, lw=0, label="minimum to maximum")
     axes.plot(x, curves[mean], color=_REWARD, label="mean")
-    axes.set(xlabel=label, ylabel="reward of an episode")
+    axes.set(xlabel=label, ylabel="reward of an episode (m$^2$)", xlim=(0, None))
+    _few_ticks(axes)
     axes.legend(loc="lower right")
     return figure
 
@@ -49,10 +62,19 @@ def success_figure(curves: Mapping[str, np.ndarray]) -> Figure | None:
     for i, name in enumerate(names):
         x, label = _abscissa(curves, len(curves[name]))
         text = name.removesuffix("success").strip("_").replace("_", " ") or "success"
+        text = label_of(SCENES.get(text, text))
         axes.plot(x, 100 * curves[name], color=SERIES[i % len(SERIES)], label=text)
     axes.set(xlabel=label, ylabel="episodes that succeed (%)", ylim=(-2, 103))
+    axes.set_xlim(0, None)
+    _few_ticks(axes)
     axes.legend(loc="lower right")
     return figure
+
+
+def _few_ticks(axes: Axes) -> None:
+    """Label so few numbers along x that they do not overlap, large ones as 20k or 1M."""
+    axes.xaxis.set_major_locator(MaxNLocator(6))
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
 
 
 def _abscissa(curves: Mapping[str, np.ndarray], length: int) -> tuple[np.ndarray, str]:
@@ -99,7 +121,7 @@ def episode_figures(log: EpisodeLog, dynamics: ReducedDynamics) -> list[Figure]:
         hit = view.place(log.states[1:, :3][log.clearance < 0])
         if len(hit):
             axes.scatter(hit[0, 0], hit[0, 1], s=60, marker="x", color=TARGET, zorder=6)
-        axes.set_title(title if view is views[0] else view.name, loc="left")
+        axes.set_title(label_of(title) if view is views[0] else view.name, loc="left")
         view.finish(axes, 0.15 * way)
         figures.append(figure)
     return figures
@@ -161,6 +183,7 @@ def moving_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     axes.fill_between(speed, low, high, color=PATH, alpha=0.2, lw=0, label="95% interval")
     axes.plot(speed, rate, color=PATH, marker="o", ms=4, label="success")
     axes.set(xlabel="speed of the obstacles (m/s)", ylabel="success (%)", ylim=(-2, 103))
-    axes.set_xlim(0, 1.03 * speed.max())
+    axes.set_xlim(-0.03 * speed.max(), 1.03 * speed.max())
+    axes.xaxis.set_major_locator(MaxNLocator(6))
     axes.legend(loc="lower left")
     return figure

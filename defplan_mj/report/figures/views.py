@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from defplan_mj.base.space import PLANE, SPACE, SPACES
 from defplan_mj.log.plotting import draw_triad, view
@@ -39,6 +40,8 @@ class View:
         """Label the axes at equal scales; an oblique view shows the world's axes, `size` (m) long."""
         axes.set_aspect("equal", adjustable="datalim")
         axes.autoscale_view()
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
         if self.labels:
             axes.set(xlabel=self.labels[0], ylabel=self.labels[1])
         else:

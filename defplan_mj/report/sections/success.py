@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from defplan_mj.base.statistics import wilson_interval
-from defplan_mj.planning.outcome import ENDINGS, SCENES
+from defplan_mj.planning.outcome import ENDINGS, SCENES, Outcome
 from defplan_mj.report.content import Section, Table, drawing, number, percent
 from defplan_mj.report.figures.planning import moving_figure, rates_figure
 from defplan_mj.report.material import Material, missing
@@ -31,6 +31,8 @@ def success_section(material: Material) -> Section:
         return section
     # an evaluation of an older version does not know all of them
     outcomes = [name for name in ENDINGS if any(name in result for _, result in results)]
+    if Outcome.FALL in outcomes and not material.walks:
+        outcomes.remove(Outcome.FALL)
     rows = [
         [
             label,
@@ -60,15 +62,29 @@ def success_section(material: Material) -> Section:
     ]
     moving = material.documents.get("moving", {}).get("moving")
     if moving:
+        still = _still(material)
+        still_ones = f" ({still[0]['episodes']} at speed 0)" if still else ""
         section.blocks.append(
             drawing(
-                moving_figure(moving),
-                f"Training targets with the shield, {moving[0]['episodes']} episodes a speed, among "
-                "obstacles that move, each in its own random direction, as in the paper's Fig. 6; the planner was "
-                "trained among still ones and sees no speeds.",
+                moving_figure(still + moving),
+                f"Training targets with the shield, {moving[0]['episodes']} episodes a speed"
+                f"{still_ones}, among obstacles that move, each in its own random direction, as in the "
+                "paper's Fig. 6; the planner was trained among still ones and sees no speeds.",
             )
         )
     return section
+
+
+def _still(material: Material) -> list[dict[str, Any]]:
+    """Return the row of speed 0: the training targets among still obstacles, with the shield; or none."""
+    document = material.documents.get("evaluation", {}).get("k2")
+    found = dict(evaluations(document))
+    result = found.get("with shield", found.get(""))
+    if result is None:
+        return []
+    share = rate(result, "success")
+    row = {"speed": 0.0, "success": share, "interval": {"success": interval(result)}}
+    return [{**row, "episodes": episodes(result)}]
 
 
 def _rate_text(result: dict[str, Any], outcome: str) -> str:

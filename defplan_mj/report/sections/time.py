@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from defplan_mj.report.content import Section, Table, duration
 from defplan_mj.report.material import Material, missing
+from defplan_mj.report.sections.paper import cost_table
 
 
 def time_section(material: Material) -> Section:
@@ -33,4 +34,5 @@ def time_section(material: Material) -> Section:
             "the time it took when it was made.",
         )
     )
+    section.blocks.append(cost_table(material))
     return section

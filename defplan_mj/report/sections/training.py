@@ -5,6 +5,7 @@ from __future__ import annotations
 from defplan_mj.report.content import Figures, Missing, Section, Text, drawing
 from defplan_mj.report.figures.planning import reward_figure, success_figure
 from defplan_mj.report.material import Material, missing
+from defplan_mj.report.sections.paper import training_table
 
 
 def training_section(material: Material) -> Section:
@@ -31,4 +32,6 @@ def training_section(material: Material) -> Section:
         if drawn
         else Missing("training.npz holds neither rewards nor success rates.")
     )
+    table = training_table(material)
+    section.blocks += [] if table is None else [table]
     return section

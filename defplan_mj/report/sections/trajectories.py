@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from defplan_mj.log.reader import EpisodeLog
-from defplan_mj.report.content import Figures, Missing, Section, drawing
+from defplan_mj.report.content import Figures, Missing, Section, drawing, video
 from defplan_mj.report.figures.planning import episode_figures, overview_figures
 from defplan_mj.report.figures.views import PICTURES
 from defplan_mj.report.material import Material
@@ -21,6 +21,15 @@ def trajectory_section(material: Material) -> Section:
         section.blocks.append(Missing("No episode was logged yet (*.mcap)."))
     if not logs or dynamics is None:
         return section
+    film = material.folder / "episode.mp4"
+    if film.is_file():
+        section.blocks.append(
+            video(
+                film,
+                "The start of an episode as MuJoCo draws it; white: the way of the centre of mass, red: the "
+                "target in its goal radius.",
+            )
+        )
     groups: dict[str, list[EpisodeLog]] = {}
     for log in logs:
         groups.setdefault(log.path.stem.rstrip("0123456789").rstrip("-_") or "episodes", []).append(

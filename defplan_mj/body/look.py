@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from defplan_mj.body.orientation import frame_of
 from defplan_mj.body.surface import Surface
 from defplan_mj.body.tetmesh import TetMesh, boundary, volumes
 
-_Y_UP = (".gltf", ".glb")  # the format says so
 _SOLE = 0.04  # of the height: what is as low as this is stood on
 _CLEAR = 1.1  # by how much a measure has to exceed another to tell something
 _LEVEL = 0.02  # of the length: a centre of mass this near the middle says nothing
@@ -36,7 +36,6 @@ class View:
 
 def look(
     mesh: Surface | TetMesh,
-    suffix: str = "",
     medium: str = "water",
     up: str | None = None,
     forward: str | None = None,
@@ -46,9 +45,19 @@ def look(
     Left and right are alike: if it is its own image across one of the three planes through the file's axes,
     up and ahead lie in that. On the ground, up is then the axis along which it stands most firmly; in water
     the shorter of the two. A long body that is alike across two planes swims along both, flat sideways.
-    If none of this tells, up is z (in glTF y). Ahead is the longest of what is left, towards the centre of
-    mass: tails are thin.
+    If none of this tells, up is z. Ahead is the longest of what is left, towards the centre of mass: tails
+    are thin.
+
+    Args:
+        mesh: in the file's axes.
+        medium: 'water' or 'ground'.
+        up, forward: what the user, or the file's format, says of them.
+
+    Raises:
+        DefplanError: there is no such axis, or both are along one.
     """
+    if up is not None and forward is not None:
+        frame_of(up, forward)
     points, faces, centre = _solid(mesh)
     extent, why = np.ptp(points, axis=0), []
     length = extent.max()
@@ -60,7 +69,7 @@ def look(
         free.remove(alike[0])
         why.append(f"left and right are alike across {'xyz'[alike[0]]}")
     if up is None:
-        axis = 1 if suffix in _Y_UP and 1 in free else max(free)
+        axis = max(free)
         short, long = (f(free, key=lambda a: extent[a]) for f in (min, max))
         if len(mirrors) == 1 and len(free) == 2 and medium == "ground":
             firm = {a: _firmness(points, faces, centre, a) for a in free}
@@ -97,9 +106,8 @@ def _firmness(points: np.ndarray, faces: np.ndarray, centre: np.ndarray, axis: i
     others = [other for other in range(3) if other != axis]
     sole = drawn[height < _SOLE * height.max()][:, others] - centre[others]
     angle = np.linspace(0, 2 * np.pi, 72, endpoint=False)
-    reach = (sole @ np.array([np.cos(angle), np.sin(angle)])).max(
-        0
-    )  # from the centre to the hull's sides
+    # from the centre to the hull's sides
+    reach = (sole @ np.array([np.cos(angle), np.sin(angle)])).max(0)
     return float(reach.min() / (centre[axis] - drawn[:, axis].min()))
 
 

@@ -1,0 +1,65 @@
+"""Load the engine plugin as soon as MuJoCo is imported: a model of ours without it crashes the process.
+
+MuJoCo does not notice that the plugin of a saved or pickled model is missing. After `import defplan_mj`,
+whoever imports MuJoCo, before or after, has the plugin; until then this module costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+
+
+def load_plugin_with_mujoco() -> None:
+    """Load the plugin now if MuJoCo is there, else right after it is imported."""
+    if "mujoco" in sys.modules:
+        _load()
+    elif not any(isinstance(finder, _Watch) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Watch())
+
+
+def _load() -> None:
+    from defplan_mj.base.errors import DefplanError
+
+    try:
+        from defplan_mj.host.plugin import load_plugin
+
+        load_plugin()
+    except DefplanError:  # told where it is needed; logs and reports can be read without
+        return
+
+
+class _Watch(importlib.abc.MetaPathFinder):
+    """Finds MuJoCo as it would be found, and loads the plugin after it."""
+
+    def find_spec(
+        self,
+        fullname: str,
+        path: Sequence[str] | None,
+        target: ModuleType | None = None,
+    ) -> importlib.machinery.ModuleSpec | None:
+        if fullname != "mujoco":
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(fullname)
+        if spec is not None and spec.loader is not None:
+            spec.loader = _Then(spec.loader)
+        return spec
+
+
+class _Then(importlib.abc.Loader):
+    """Loads a module by its own loader, and the plugin after that."""
+
+    def __init__(self, loader: importlib.abc.Loader) -> None:
+        self._loader = loader
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType | None:
+        return self._loader.create_module(spec)
+
+    def exec_module(self, module: ModuleType) -> None:
+        self._loader.exec_module(module)
+        _load()

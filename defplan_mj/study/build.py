@@ -1,0 +1,79 @@
+"""What has to be the same on all machines of a study for them to give the same bits, and whether it is."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+from defplan_mj import registry
+from defplan_mj.base.errors import DefplanError
+
+
+@cache
+def build_of() -> Mapping[str, str]:
+    """Return what results depend on here: versions, compiled libraries, sources, plugins."""
+    import platform
+
+    from defplan_mj.host.plugin import LIBRARY as host
+    from defplan_mj.kernel.library import PATH as kernel
+    from defplan_mj.log.recorder import versions
+
+    root = Path(__file__).parents[1]
+    return {
+        **versions(),
+        "C library": " ".join(platform.libc_ver()),
+        "compiled kernel": _hash([kernel]),
+        "compiled MuJoCo plugin": _hash([host]),
+        "source of defplan": _hash(sorted(root.rglob("*.py"))),
+        "plugins": ", ".join(_plugins()),
+    }
+
+
+def _plugins() -> list[str]:
+    """Return the plugins with the source they come from."""
+    from defplan_mj.pipeline.provenance import source_hash
+
+    told = []
+    for group in (registry.TASKS, registry.SOLVERS, registry.SENSORS):
+        for name, module in sorted(registry.modules(group).items()):
+            told.append(f"{name} {source_hash([module])[:12]}")
+    return told
+
+
+def _hash(paths: list[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes() if path.is_file() else b"missing")
+    return digest.hexdigest()[:16]
+
+
+def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
+    """Return what is not the same, each as a clause."""
+    told = []
+    for name in [*here, *(name for name in there if name not in here)]:
+        one, other = here.get(name, "not there"), there.get(name, "not there")
+        if one != other:
+            told.append(_clause(name, one, other))
+    return told
+
+
+def _clause(name: str, one: str, other: str) -> str:
+    if name != "plugins":
+        return f"{name} is {other} there, {one} here"
+    mine, theirs = set(one.split(", ")), set(other.split(", "))
+    names = sorted({entry.split(" ")[0] for entry in mine ^ theirs})
+    return f"plugins differ: {', '.join(names)}"
+
+
+def require_same(build: Mapping[str, str]) -> None:
+    """Raise DefplanError unless this machine has what the study's own has; none: it is not asked."""
+    told = differences(build, build_of()) if build else []
+    if told:
+        import socket
+
+        raise DefplanError(
+            f"the machine {socket.gethostname()} would not give the same results: {'; '.join(told)}"
+        )

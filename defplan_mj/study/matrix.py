@@ -1,0 +1,129 @@
+"""The runs of a study: every task, seed, gait solver, planner, feedback and variant, but what is left out."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.study.spec import MOST_RUNS, Study
+from defplan_mj.task import TaskSpec
+from defplan_mj.taskfile.find import find_task
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run of a study; plain, so that it can be sent to another machine.
+
+    Attributes:
+        source: its task's name or file, as `find_task` takes it.
+        task: the task's name.
+        seed: of everything random in it.
+        gait_solver, planner, feedback: by name.
+        variant: name of its options.
+        options: see `spec.Variant`.
+        until: its last stage.
+    """
+
+    source: str
+    task: str
+    seed: int
+    gait_solver: str
+    planner: str
+    feedback: str
+    variant: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    until: str = "report"
+
+    @property
+    def method(self) -> str:
+        """What the task is solved by: the name of the folder that its runs lie in."""
+        parts = [self.gait_solver]
+        if self.until not in ("gait", "surrogate"):
+            parts += [self.planner, self.feedback]
+        return "+".join(filter(None, [*parts, self.variant]))
+
+    @cached_property
+    def folder(self) -> Path:
+        """Of the run, from the study's folder on."""
+        return Path(self.method) / f"{self.task}-seed{self.seed}"
+
+    @property
+    def gaits(self) -> tuple[Any, ...]:
+        """What its gaits depend on: runs alike in this share them."""
+        return self.source, self.seed, self.gait_solver
+
+    def says(self, entry: Mapping[str, Any]) -> bool:
+        """Return whether all that an entry of `leave_out` says is true of this run."""
+        return all(getattr(self, name) == value for name, value in entry.items())
+
+
+def cells(study: Study) -> list[Cell]:
+    """Return the runs of a study in their order; runs that would be the same are one.
+
+    Raises:
+        DefplanError: nothing is left, or they are too many.
+    """
+    axes = (study.seeds, study.gait_solvers, study.planners, study.feedbacks, study.variants)
+    count = len(study.tasks)
+    for axis in axes:
+        count *= len(axis)
+    if count > MOST_RUNS:
+        raise DefplanError(f"{study.file}: {count} runs are more than {MOST_RUNS}")
+    found: dict[Path, Cell] = {}
+    for cell in _every(study, [find_task(source) for source in study.tasks]):
+        if not any(cell.says(entry) for entry in study.leave_out):
+            found.setdefault(cell.folder, cell)
+    if not found:
+        raise DefplanError(f"{study.file}: all runs are left out by leave_out")
+    return list(found.values())
+
+
+def _every(study: Study, specs: Sequence[TaskSpec]) -> Iterator[Cell]:
+    for (source, spec), seed, gait, planner, feedback, variant in itertools.product(
+        zip(study.tasks, specs, strict=True),
+        study.seeds,
+        study.gait_solvers,
+        study.planners,
+        study.feedbacks,
+        study.variants,
+    ):
+        yield Cell(
+            source,
+            spec.name,
+            seed,
+            gait or spec.gait_solver,
+            planner or spec.planner,
+            feedback or spec.feedback,
+            variant.name,
+            variant.options,
+            study.until,
+        )
+
+
+class Lenders:
+    """Which runs have stages in common: those with a run's gaits, and of its body any of its task.
+
+    Args:
+        cells: of the study.
+    """
+
+    def __init__(self, cells: Sequence[Cell]) -> None:
+        self._bodies: dict[str, list[Path]] = {}
+        self._gaits: dict[tuple[Any, ...], list[Path]] = {}
+        for cell in cells:
+            for folders in (
+                self._bodies.setdefault(cell.source, []),
+                self._gaits.setdefault(cell.gaits, []),
+            ):
+                if len(folders) < 3:
+                    folders.append(cell.folder)
+
+    def of(self, cell: Cell) -> list[Path]:
+        """Return folders to look in, the likeliest first."""
+        told = [*self._gaits[cell.gaits], *self._bodies[cell.source]]
+        return [folder for folder in dict.fromkeys(told) if folder != cell.folder]

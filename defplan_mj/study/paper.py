@@ -1,0 +1,281 @@
+"""The study of the paper: its claims, Tables I to III and Figures 4 to 7, beside what is measured here.
+
+The paper is Pan and Manocha, Realtime Planning for High-DOF Deformable Bodies using Two-Stage Learning; its
+figures are those of the tasks' `paper`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from defplan_mj.base.errors import DefplanError
+from defplan_mj.body.model import Body
+from defplan_mj.gait.gait import Gait
+from defplan_mj.log.reader import EpisodeLog, read_log
+from defplan_mj.pipeline.making import BODY_FILE, GAIT_FILE, SURROGATE_FILE
+from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.report.content import (
+    Block,
+    Figures,
+    Missing,
+    Section,
+    Table,
+    Text,
+    drawing,
+    duration,
+    mean_sd,
+)
+from defplan_mj.report.figures.gaits import controls_figure, path_figures, play
+from defplan_mj.report.figures.planning import overview_figures, reward_figure
+from defplan_mj.report.material import training_curves
+from defplan_mj.study.claims import CLAIMS, Robot, open_loop, paper_calls
+from defplan_mj.study.findings import Findings
+from defplan_mj.study.measures import measured
+from defplan_mj.study.rows import mean
+from defplan_mj.study.sections import moving
+from defplan_mj.study.table import Row
+from defplan_mj.taskfile.find import find_task
+
+PLANNERS = ("learned", "memoryless", "sampling", "bound", "recipe")
+
+
+def sections(findings: Findings) -> list[Section]:
+    """Return the sections on the paper; what a run did not leave is named."""
+    robots = [_robot(findings, source) for source in findings.study.tasks]
+    return [
+        _claims(findings, robots),
+        _table_one(robots),
+        _table_two(robots),
+        _table_three(robots),
+        _figure_four(findings, robots),
+        _figure_five(findings, robots),
+        _figure_six(findings, robots),
+        Section(
+            "figure-7",
+            "Figure 7: a tunnel",
+            [Missing("The paper's fish swims through a tunnel; this study has no such scene.")],
+        ),
+    ]
+
+
+def _robot(findings: Findings, source: str) -> Robot:
+    spec, roles = find_task(source), findings.study.roles
+    own = [row for row in findings.good if row["task"] == spec.name]
+    rows = {role: [row for row in own if row["planner"] == roles.get(role)] for role in PLANNERS}
+    folder = _folder(findings, rows["learned"] or own)
+    measures: dict[str, Any] = {}
+    surrogate = None
+    if folder is not None:
+        try:
+            surrogate = Surrogate.load(folder / SURROGATE_FILE)
+            feedback = roles.get("feedback", "")
+            measures = measured(findings.root, spec, folder, feedback, findings.progress)
+        except DefplanError:
+            pass  # the page names what is missing
+    return Robot(spec, rows, measures, surrogate)
+
+
+def _folder(findings: Findings, rows: Sequence[Row]) -> Path | None:
+    return findings.root / rows[0]["folder"] if rows else None
+
+
+def _claims(findings: Findings, robots: Sequence[Robot]) -> Section:
+    claims = [claim(robots) for claim in CLAIMS]
+    claims.insert(7, open_loop(robots, findings.study.roles.get("feedback", "")))
+    rows = [[claim.text, f"{claim.verdict.capitalize()}. {claim.evidence}."] for claim in claims]
+    return Section(
+        "claims",
+        "The claims",
+        [
+            Text(
+                "The paper's claims in our words, each with a verdict and what it rests on. Bodies, drag, contact "
+                "and periods of the paper's robots are not all given, so equal figures are not to be expected; "
+                "in brackets 95% intervals over seeds and episodes."
+            ),
+            Table(["claim", "verdict and evidence"], rows),
+        ],
+    )
+
+
+def _table_one(robots: Sequence[Robot]) -> Section:
+    rows = []
+    for robot in robots:
+        paper, spec = robot.spec.paper, robot.spec
+        told = robot.of("learned")
+        hours = {
+            n: 3600 * paper[f"{n}_h"] for n in ("gait", "planner", "features") if f"{n}_h" in paper
+        }
+        learning = mean(told, "planner_seconds")
+        gait = mean(told, "solver_seconds")
+        rows.append(
+            [
+                f"{spec.name}, paper",
+                str(paper.get("vertices", "–")),
+                str(paper.get("dof", "–")),
+                duration(paper.get("full_step_s")),
+                duration(paper.get("reduced_step_s")),
+                str(len(paper.get("tasks", ()))),
+                "200",
+                "5",
+                duration(hours.get("gait")),
+                duration(hours.get("planner")),
+                duration(hours.get("features")),
+            ]
+        )
+        one = told[0] if told else {}
+        rows.append(
+            [
+                f"{spec.name}, here",
+                str(one.get("vertices", "–")),
+                str(6 + one["modes"]) if one.get("modes") else "–",
+                duration(robot.measures.get("full_step_s")),
+                duration(robot.measures.get("reduced_step_s")),
+                str(one.get("gaits", "–")),
+                str(spec.gait_steps),
+                str(robot.measures.get("elements", "–")),
+                duration(gait[0] if gait else None),
+                duration(learning[0] if learning else None),
+                "–",
+            ]
+        )
+    columns = ["robot", "vertices", "|x̄|", "f", "f̄", "K₁", "N₁", "D", "gaits", "DQL", "CNN"]
+    caption = (
+        "Table I. Costs of a step of the full dynamics f and the reduced f̄, of gaits, of deep Q-learning and of "
+        "the CNN's pretraining. The paper's machine had 8 cores; here a step is processor time. The planner "
+        "here has no CNN that is trained before. Seconds of packaged gaits are those of when they were made."
+    )
+    return Section("table-1", "Table I: costs", [Table(columns, rows, caption)])
+
+
+def _table_two(robots: Sequence[Robot]) -> Section:
+    rows = []
+    for robot in robots:
+        spec, paper = robot.spec, robot.spec.paper
+        navigation, theirs = spec.navigation, paper_calls(spec)
+        if theirs:
+            rows.append(
+                [f"{spec.name}, paper", str(paper["k2"]), str(paper["n2_cycles"]), _thousands(10 * theirs[1]),
+                 str(paper["steps_per_cycle"]), _thousands(theirs[0]), _thousands(theirs[1])]
+            )  # fmt: skip
+        reduced, fit = robot.calls
+        rows.append(
+            [f"{spec.name}, here", str(navigation.k2), str(navigation.max_cycles), _thousands(10 * fit),
+             str(spec.steps_per_cycle), _thousands(reduced), _thousands(fit)]
+        )  # fmt: skip
+    columns = ["robot", "K₂", "N₂ (cycles)", "memory", "steps a cycle", "# f̄", "# f_fit"]
+    caption = (
+        "Table II. Deep Q-learning by iterations as the paper does it: training targets, cycles of a trajectory, "
+        "transitions kept, and calls of either dynamics in an iteration, K₂ N₂ times the steps of a cycle or "
+        "once. Here: what the same scheme would call with this task's figures; the default planner "
+        "here trains otherwise."
+    )
+    return Section(
+        "table-2", "Table II: parameters of the training", [Table(columns, rows, caption)]
+    )
+
+
+def _thousands(value: float) -> str:
+    return f"{value / 1000:g}k"
+
+
+def _table_three(robots: Sequence[Robot]) -> Section:
+    rows = []
+    for robot in robots:
+        s, paper = robot.surrogate, robot.spec.paper
+        theirs = list(paper.get("tasks", ()))
+        for k, name in enumerate(s.task_names if s is not None else ()):
+            assert s is not None
+            row = [
+                f"{robot.spec.name}: {name}",
+                mean_sd(s.rotation_mean[k], s.rotation_sd[k]),
+                mean_sd(s.translation_mean[k], s.translation_sd[k]),
+            ]
+            if name in theirs:
+                i = theirs.index(name)
+                row.append(mean_sd(paper["rotation_mean"][i], paper["rotation_sd"][i]))
+                row.append(mean_sd(paper["translation_mean"][i], paper["translation_sd"][i]))
+            else:
+                row += ["–", "–"]
+            rows.append(row)
+    columns = ["gait", "rotation (rad)", "translation (m)", "paper: rotation", "paper: translation"]
+    caption = "Table III. A cycle's rotation and translation, mean ± standard deviation, of the first seed."
+    blocks: list[Block] = (
+        [Table(columns, rows, caption)] if rows else [Missing("No surrogate is there.")]
+    )
+    return Section("table-3", "Table III: the surrogate", blocks)
+
+
+def _figure_four(findings: Findings, robots: Sequence[Robot]) -> Section:
+    blocks: list[Block] = []
+    for robot in robots:
+        folder = _folder(findings, robot.of("learned"))
+        if folder is None:
+            continue
+        try:
+            body, gait = Body.load(folder / BODY_FILE), Gait.load(folder / GAIT_FILE)
+        except DefplanError as error:
+            blocks.append(Missing(f"{error}."))
+            continue
+        dynamics, space = robot.spec.dynamics(body), robot.spec.navigation.space
+        drawn = []
+        for task in range(len(gait.task_names)):
+            states = play(gait, task, dynamics, 5 * gait.steps_per_cycle)
+            drawn.append(drawing(controls_figure(gait, task)))
+            drawn.append(drawing(path_figures(gait, task, dynamics, states, space)[0]))
+        blocks.append(
+            Figures(
+                drawn,
+                f"{robot.spec.name}: the commands of each gait over two cycles, and the path of the centre of "
+                "mass over five cycles from rest, as in the paper's Fig. 4.",
+            )
+        )
+    return Section("figure-4", "Figure 4: gaits", blocks or [Missing("No gaits are there.")])
+
+
+def _figure_five(findings: Findings, robots: Sequence[Robot]) -> Section:
+    drawn = []
+    for robot in robots:
+        for row in robot.of("learned")[:1]:
+            figure = reward_figure(training_curves(findings.root / row["folder"], row["planner"]))
+            if figure is not None:
+                figure.axes[0].set_title(robot.spec.name, loc="left")
+                drawn.append(drawing(figure))
+    if not drawn:
+        return Section("figure-5", "Figure 5: learning", [Missing("No training curves are there.")])
+    caption = (
+        "Reward (Eq. 2) at the training targets during the training, first seed: mean in red between minimum and "
+        "maximum, as in the paper's Fig. 5, whose abscissa is iterations."
+    )
+    return Section("figure-5", "Figure 5: learning", [Figures(drawn, caption)])
+
+
+def _figure_six(findings: Findings, robots: Sequence[Robot]) -> Section:
+    section = Section("figure-6", "Figure 6: moving obstacles, and trajectories")
+    above = moving(findings)
+    section.blocks += (
+        above.blocks if above else [Missing("Nothing was tried among moving obstacles.")]
+    )
+    for robot in robots:
+        for row in robot.of("learned")[:1]:
+            logs = _logs(findings.root / row["folder"])
+            if logs:
+                section.blocks.append(
+                    Figures(
+                        [drawing(figure) for figure in overview_figures(logs)],
+                        f"{robot.spec.name}: {len(logs)} logged episodes in unseen scenes and at training "
+                        "targets, paths green, obstacles blue, targets red.",
+                    )
+                )
+    return section
+
+
+def _logs(folder: Path) -> list[EpisodeLog]:
+    found = []
+    for path in sorted(folder.glob("[!.]*.mcap")):
+        try:
+            found.append(read_log(path))
+        except DefplanError:
+            continue
+    return found
