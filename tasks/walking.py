@@ -81,8 +81,11 @@ def walk_spec(
         rivals=("cio", "cio-alternating"),  # what the paper walks by, all at once and by turns
         paper={
             "dof": 16,
+            "gait_steps": 200,
+            "wavelets": 5,
             "k2": 10,
             "n2_cycles": 400,
+            "memory": 40_000,
             "steps_per_cycle": 23,
             "k2_success": 1.0,
             "tasks": ("forward", "back", "left", "right"),

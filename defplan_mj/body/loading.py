@@ -158,13 +158,17 @@ def _place(raw: RawMesh, options: BodyOptions, path: Path) -> tuple[RawMesh, lis
     vertices, notes = np.where(np.isfinite(raw.vertices), raw.vertices, 0.0), list(raw.notes)
     faces = _skin(raw) if len(raw.tetrahedra) else raw.triangles
     medium = "ground" if options.medium.gravity else "water"
-    view = look(Surface(vertices, faces), medium, *_axes(raw, options.up, options.forward))
-    frame = frame_of(view.up, view.forward)
+    up, forward = _axes(raw, options.up, options.forward)
+    because = ""
+    if up is None or forward is None:
+        view = look(Surface(vertices, faces), medium, up, forward)
+        up, forward = view.up, view.forward
+        because = f" ({view.why})" if view.why else ""
+    frame = frame_of(up, forward)
     if not np.array_equal(frame, np.eye(3)):
         vertices = vertices @ frame.T
-        because = f" ({view.why})" if view.why else ""
         notes.append(
-            f"turned: {view.up} of the file is up, {view.forward} is forward{because};"
+            f"turned: {up} of the file is up, {forward} is forward{because};"
             " --up and --forward overrule"
         )
         extent = np.ptp(vertices[used], axis=0)

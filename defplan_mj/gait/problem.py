@@ -180,6 +180,17 @@ class GaitProblem:
         shapes = [one(blocks[0], blocks[1 + j], blocks[1 + k + j]) for j in range(k)]
         return ca.Function("dmp", [w], [ca.horzcat(*shapes)], ["w"], ["shapes"])
 
+    @cached_property
+    def excess(self) -> ca.Function:
+        """w -> mean squared excess of the target shapes over the body's amplitude, in units of it.
+
+        For what takes no constraints: the shapes are meant to stay within the amplitude.
+        """
+        w, amplitude = ca.MX.sym("w", self.n_w), self.dynamics.body.amplitude
+        bound = np.tile(amplitude, self.n_tasks * self.steps_per_cycle)
+        over = ca.fmax(ca.fabs(ca.vec(self.dmp(w))) / bound - 1, 0)
+        return ca.Function("excess", [w], [ca.sumsqr(over) / len(bound)])
+
     # --- E_obj
 
     @cached_property

@@ -78,10 +78,8 @@ def bent_gaits(alone: GaitProblem, w: np.ndarray) -> Iterator[np.ndarray]:
 def _optimised(alone: GaitProblem, starts: list[np.ndarray], each: bool) -> np.ndarray:
     """Return the best w after a few iterations from the best start, and `each`: before from each of them."""
     w = ca.MX.sym("w", alone.n_w)
-    amplitude = np.tile(alone.dynamics.body.amplitude, alone.steps_per_cycle)
-    excess = ca.fmax(ca.fabs(ca.vec(alone.dmp(w))) / amplitude - 1.0, 0.0)
     cost = alone.objective([[0] * _CYCLES], settle=_SETTLE)(w)
-    cost += _OUTSIDE * ca.sumsqr(excess) / len(amplitude)
+    cost += _OUTSIDE * alone.excess(w)
     both = ca.Function("trial", [w], [cost, ca.gradient(cost, w)])
 
     def value(x: np.ndarray) -> tuple[float, np.ndarray]:

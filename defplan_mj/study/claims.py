@@ -9,6 +9,7 @@ from typing import Any
 from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.report.content import duration, percent
+from defplan_mj.report.sections.paper import paper_calls
 from defplan_mj.study.measures import PUSH, falls
 from defplan_mj.study.rows import Estimate, mean, rate
 from defplan_mj.study.sections import share
@@ -159,7 +160,7 @@ def direct_learning(robots: Sequence[Robot]) -> Claim:
         good.append(seconds > 48 * 3600)
         text = f"{robot.spec.name} {duration(seconds)}"
         theirs = robot.spec.paper.get("reduced_step_s")
-        calls = paper_calls(robot.spec)
+        calls = paper_calls(robot.spec.paper)
         if theirs and calls:
             text += f" (by the paper's own figures {duration(_ITERATIONS * calls[0] * theirs)})"
         told.append(text)
@@ -172,12 +173,6 @@ def direct_learning(robots: Sequence[Robot]) -> Claim:
             told,
         ),
     )
-
-
-def paper_calls(spec: TaskSpec) -> tuple[float, float] | None:
-    """Return how often an iteration of the paper's DQL calls f reduced and f_fit (Table II)."""
-    k2, cycles, steps = (spec.paper.get(n) for n in ("k2", "n2_cycles", "steps_per_cycle"))
-    return (k2 * cycles * steps, k2 * cycles) if k2 and cycles and steps else None
 
 
 def faster_than_sampling(robots: Sequence[Robot]) -> Claim:

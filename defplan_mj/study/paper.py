@@ -25,12 +25,14 @@ from defplan_mj.report.content import (
     Text,
     drawing,
     duration,
-    mean_sd,
 )
 from defplan_mj.report.figures.gaits import controls_figure, path_figures, play
 from defplan_mj.report.figures.planning import overview_figures, reward_figure
 from defplan_mj.report.material import training_curves
-from defplan_mj.study.claims import CLAIMS, Robot, open_loop, paper_calls
+from defplan_mj.report.sections.paper import paper_calls
+from defplan_mj.report.sections.surrogate import COLUMNS as TABLE_THREE
+from defplan_mj.report.sections.surrogate import table_three
+from defplan_mj.study.claims import CLAIMS, Robot, open_loop
 from defplan_mj.study.findings import Findings
 from defplan_mj.study.measures import measured
 from defplan_mj.study.rows import mean
@@ -117,8 +119,8 @@ def _table_one(robots: Sequence[Robot]) -> Section:
                 duration(paper.get("full_step_s")),
                 duration(paper.get("reduced_step_s")),
                 str(len(paper.get("tasks", ()))),
-                "200",
-                "5",
+                str(paper.get("gait_steps", "–")),
+                str(paper.get("wavelets", "–")),
                 duration(hours.get("gait")),
                 duration(hours.get("planner")),
                 duration(hours.get("features")),
@@ -153,10 +155,10 @@ def _table_two(robots: Sequence[Robot]) -> Section:
     rows = []
     for robot in robots:
         spec, paper = robot.spec, robot.spec.paper
-        navigation, theirs = spec.navigation, paper_calls(spec)
+        navigation, theirs = spec.navigation, paper_calls(paper)
         if theirs:
             rows.append(
-                [f"{spec.name}, paper", str(paper["k2"]), str(paper["n2_cycles"]), _thousands(10 * theirs[1]),
+                [f"{spec.name}, paper", str(paper["k2"]), str(paper["n2_cycles"]), _thousands(paper["memory"]),
                  str(paper["steps_per_cycle"]), _thousands(theirs[0]), _thousands(theirs[1])]
             )  # fmt: skip
         reduced, fit = robot.calls
@@ -183,26 +185,11 @@ def _thousands(value: float) -> str:
 def _table_three(robots: Sequence[Robot]) -> Section:
     rows = []
     for robot in robots:
-        s, paper = robot.surrogate, robot.spec.paper
-        theirs = list(paper.get("tasks", ()))
-        for k, name in enumerate(s.task_names if s is not None else ()):
-            assert s is not None
-            row = [
-                f"{robot.spec.name}: {name}",
-                mean_sd(s.rotation_mean[k], s.rotation_sd[k]),
-                mean_sd(s.translation_mean[k], s.translation_sd[k]),
-            ]
-            if name in theirs:
-                i = theirs.index(name)
-                row.append(mean_sd(paper["rotation_mean"][i], paper["rotation_sd"][i]))
-                row.append(mean_sd(paper["translation_mean"][i], paper["translation_sd"][i]))
-            else:
-                row += ["–", "–"]
-            rows.append(row)
-    columns = ["gait", "rotation (rad)", "translation (m)", "paper: rotation", "paper: translation"]
+        if robot.surrogate is not None:
+            rows += table_three(robot.surrogate, robot.spec.paper, f"{robot.spec.name}: ")
     caption = "Table III. A cycle's rotation and translation, mean ± standard deviation, of the first seed."
     blocks: list[Block] = (
-        [Table(columns, rows, caption)] if rows else [Missing("No surrogate is there.")]
+        [Table(TABLE_THREE, rows, caption)] if rows else [Missing("No surrogate is there.")]
     )
     return Section("table-3", "Table III: the surrogate", blocks)
 

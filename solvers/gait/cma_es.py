@@ -98,15 +98,13 @@ class _Cost:
     def __init__(self, solver: CmaEs, problem: GaitProblem, rng: np.random.Generator) -> None:
         sequences = problem.switching_sequences(rng)
         self.objective = problem.objective(sequences, threads=solver.threads)
-        self.shapes, self.weight = problem.dmp, solver.excess
-        self.amplitude = problem.dynamics.body.amplitude[:, None]
+        self.excess, self.weight = problem.excess, solver.excess
         n = problem.n_phases
         bound = np.concatenate([np.full(n, 4 * np.pi), np.full(problem.n_w - n, solver.bound)])
         self.low, self.high = -bound, bound
 
     def __call__(self, w: np.ndarray) -> float:
-        over = np.abs(np.array(self.shapes(w))) / self.amplitude - 1
-        penalty = self.weight * float(np.mean(np.maximum(over, 0) ** 2))
+        penalty = self.weight * float(self.excess(w))
         try:
             value = float(self.objective(w))
         except RuntimeError:  # a step did not converge

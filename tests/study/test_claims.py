@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from defplan_mj import registry
+from defplan_mj.report.sections.paper import paper_calls
 from defplan_mj.study import claims
-from defplan_mj.study.claims import HOLDS, NOT, OPEN, PART, UNDECIDED, Robot, paper_calls
+from defplan_mj.study.claims import HOLDS, NOT, OPEN, PART, UNDECIDED, Robot
 from defplan_mj.study.table import Row, complete
 from tests.samples import planning as samples
 
@@ -54,9 +55,11 @@ def test_speed_and_hours_are_those_of_the_measured_steps():
 
 
 def test_the_papers_own_counts_are_those_of_its_table_two():
-    counted = {name: paper_calls(registry.get_task(name)) for name in ("fish-swim", "tee-walk")}
+    counted = {
+        name: paper_calls(registry.get_task(name).paper) for name in ("fish-swim", "tee-walk")
+    }
     assert counted == {"fish-swim": (22_000, 2_000), "tee-walk": (92_000, 4_000)}
-    assert paper_calls(registry.get_task("quadruped-swim")) == (216_000, 24_000)
+    assert paper_calls(registry.get_task("quadruped-swim").paper) == (216_000, 24_000)
 
 
 def timeouts(share: float, n: int) -> dict:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from defplan_mj.report.content import Table, duration
@@ -36,7 +37,8 @@ def cost_table(material: Material) -> Table:
 def training_table(material: Material) -> Table | None:
     """Return Table II, the parameters of the planner's training; None: the paper has none of this task."""
     paper, gait, spec = material.paper, material.gait, material.spec
-    if "planner_cycles" not in paper or spec is None:
+    calls = paper_calls(paper)
+    if calls is None or spec is None:
         return None
     navigation = spec.navigation
     k2, n2 = navigation.k2, navigation.max_cycles
@@ -44,11 +46,11 @@ def training_table(material: Material) -> Table | None:
     made = material.curves.get("transitions")
     rows: list[list[Any]] = [
         ["training targets, K₂", k2, paper.get("k2")],
-        ["gait cycles of an episode at most, N₂", n2, paper["planner_cycles"]],
-        ["steps of a gait cycle", steps, paper["cycle_steps"]],
-        ["states in the memory", None, paper["memory"]],
-        ["steps of f̄ for K₂ episodes", k2 * n2 * steps if steps else None, paper["reduced_calls"]],
-        ["steps of the surrogate for the same", k2 * n2, paper["surrogate_calls"]],
+        ["gait cycles of an episode at most, N₂", n2, paper["n2_cycles"]],
+        ["steps of a gait cycle", steps, paper["steps_per_cycle"]],
+        ["states in the memory", None, paper.get("memory")],
+        ["steps of f̄ for K₂ episodes", k2 * n2 * steps if steps else None, calls[0]],
+        ["steps of the surrogate for the same", k2 * n2, calls[1]],
         ["transitions of the whole training", None if made is None else int(made[-1]), None],
     ]
     return Table(
@@ -57,6 +59,15 @@ def training_table(material: Material) -> Table | None:
         "The paper's Table II: parameters of the planner's training. One of its iterations plays K₂ episodes of "
         "N₂ cycles; the surrogate takes a step a cycle. Here training scenes are drawn anew all the time.",
     )
+
+
+def paper_calls(paper: Mapping[str, Any]) -> tuple[int, int] | None:
+    """Return how often an iteration of the paper's DQL calls f reduced and f_fit (Table II); None: not said.
+
+    That is in each step, and once in each cycle, of K₂ trajectories of N₂ cycles.
+    """
+    k2, cycles, steps = (paper.get(name) for name in ("k2", "n2_cycles", "steps_per_cycle"))
+    return (k2 * cycles * steps, k2 * cycles) if k2 and cycles and steps else None
 
 
 def _time(seconds: float | None) -> str | None:

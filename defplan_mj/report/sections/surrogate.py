@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
+from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.report.content import Section, Table, Text, mean_sd
 from defplan_mj.report.material import Material, missing
 
@@ -15,12 +19,37 @@ def surrogate_section(material: Material) -> Section:
     if surrogate is None:
         section.blocks.append(missing(material, "surrogate.npz"))
         return section
-    paper = material.paper
+    shares = surrogate.translation_sd / np.maximum(surrogate.translation_mean, 1e-12)
+    section.blocks += [
+        Text(
+            f"For planning, a whole cycle of a gait is one rigid motion, fitted to {surrogate.pairs} "
+            "pairs of states before and after a cycle while gaits are switched at random. The "
+            "spread says how far a single cycle is from it: here the translation's standard "
+            f"deviation is {100 * shares.min():.0f} to {100 * shares.max():.0f}% of its mean."
+        ),
+        Table(
+            COLUMNS,
+            table_three(surrogate, material.paper),
+            "Rotation and translation a cycle, mean ± standard deviation over the pairs, beside "
+            "the paper's Table III.",
+        ),
+    ]
+    return section
+
+
+COLUMNS = ["gait", "rotation (rad)", "translation (m)", "paper: rotation", "paper: translation"]
+"""Of Table III."""
+
+
+def table_three(
+    surrogate: Surrogate, paper: Mapping[str, Any], prefix: str = ""
+) -> list[list[str]]:
+    """Return the rows of Table III, a gait each: mean and standard deviation here and in the paper."""
     theirs = list(paper.get("tasks", ()))
     rows = []
     for k, name in enumerate(surrogate.task_names):
         row = [
-            name,
+            prefix + name,
             mean_sd(surrogate.rotation_mean[k], surrogate.rotation_sd[k]),
             mean_sd(surrogate.translation_mean[k], surrogate.translation_sd[k]),
         ]
@@ -31,20 +60,4 @@ def surrogate_section(material: Material) -> Section:
         else:
             row += ["–", "–"]
         rows.append(row)
-    columns = ["gait", "rotation (rad)", "translation (m)", "paper: rotation", "paper: translation"]
-    shares = surrogate.translation_sd / np.maximum(surrogate.translation_mean, 1e-12)
-    section.blocks += [
-        Text(
-            f"For planning, a whole cycle of a gait is one rigid motion, fitted to {surrogate.pairs} "
-            "pairs of states before and after a cycle while gaits are switched at random. The "
-            "spread says how far a single cycle is from it: here the translation's standard "
-            f"deviation is {100 * shares.min():.0f} to {100 * shares.max():.0f}% of its mean."
-        ),
-        Table(
-            columns,
-            rows,
-            "Rotation and translation a cycle, mean ± standard deviation over the pairs, beside "
-            "the paper's Table III.",
-        ),
-    ]
-    return section
+    return rows
