@@ -10,7 +10,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.body.formats import read_file
 from defplan_mj.body.intersections import crossing_triangles
 from defplan_mj.body.tetmesh import TetMesh, compact, face_pieces, volumes
 
@@ -34,26 +33,6 @@ class Surface:
         """Total area, m^2."""
         a, b, c = (self.vertices[self.faces[:, i]] for i in range(3))
         return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
-
-
-def load_mesh(path: str | Path, length: float | None = None) -> Surface | TetMesh:
-    """Read a closed surface, or a tetrahedral mesh, as it stands, and check it; nothing is mended.
-
-    Args:
-        length: the longest extent is scaled to it, m.
-
-    Raises:
-        DefplanError: the file or the mesh is bad; the sentence says why and what mends it.
-    """
-    path = Path(path)
-    raw = read_file(path)
-    vertices, cells = raw.vertices, raw.tetrahedra if len(raw.tetrahedra) else raw.triangles
-    extent = check_extent(vertices, cells, path)
-    if length is not None:
-        vertices = vertices * (length / extent.max())
-    if cells.shape[1] == 4:
-        return check_tetrahedra(vertices, cells, path)
-    return check_surface(vertices, cells, path)
 
 
 def check_extent(vertices: np.ndarray, cells: np.ndarray, path: Path | str) -> np.ndarray:

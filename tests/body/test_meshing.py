@@ -10,7 +10,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.body import lattice
 from defplan_mj.body.fitting import closest_on_triangles, spread_points
 from defplan_mj.body.meshing import fill, stuff
-from defplan_mj.body.surface import Surface, load_mesh
+from defplan_mj.body.surface import Surface
 from defplan_mj.body.tetmesh import (
     TetMesh,
     boundary,
@@ -20,7 +20,7 @@ from defplan_mj.body.tetmesh import (
     split_longest_edges,
     volumes,
 )
-from tests.samples.meshes import FISH, bar, pill, surface_of
+from tests.samples.meshes import FISH, bar, load_mesh, pill, surface_of
 
 
 def _check_sound(mesh: TetMesh) -> trimesh.Trimesh:

@@ -9,9 +9,9 @@ import trimesh
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.intersections import _near_pairs, crossing_triangles
-from defplan_mj.body.surface import Surface, load_mesh
+from defplan_mj.body.surface import Surface
 from defplan_mj.body.tetmesh import TetMesh, volumes
-from tests.samples.meshes import FISH, bar, pill
+from tests.samples.meshes import FISH, bar, load_mesh, pill
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off", "gltf", "glb"])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 
+from defplan_mj.body.formats import read_file
 from defplan_mj.body.model import Body, Material, Medium
-from defplan_mj.body.surface import Surface
+from defplan_mj.body.surface import Surface, check_extent, check_surface, check_tetrahedra
 from defplan_mj.body.tetmesh import TetMesh
 from tests.samples.paths import ASSETS
 
@@ -97,3 +99,16 @@ def finned(backed: bool = True) -> trimesh.Trimesh:
     points[:, 1] *= 1 - 0.85 * tail
     points[:, 2] *= np.where(points[:, 2] > 0, 1.5, 0.6) if backed else 1.0
     return trimesh.Trimesh(points, ball.faces, process=False)
+
+
+def load_mesh(path: str | Path, length: float | None = None) -> Surface | TetMesh:
+    """Read a closed surface, or tetrahedra, as it stands, scale it to a length, m, and check it."""
+    path = Path(path)
+    raw = read_file(path)
+    vertices, cells = raw.vertices, raw.tetrahedra if len(raw.tetrahedra) else raw.triangles
+    extent = check_extent(vertices, cells, path)
+    if length is not None:
+        vertices = vertices * (length / extent.max())
+    if cells.shape[1] == 4:
+        return check_tetrahedra(vertices, cells, path)
+    return check_surface(vertices, cells, path)
