@@ -122,7 +122,7 @@ def bad_inputs(folder: Path, asked: int, seconds: float) -> Part:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = cli.main([*argv, "--quiet"])
         said = err.getvalue()
-        sentence = said.startswith("defplan: ") and said.count("\n") == 1
+        sentence = said.startswith(f"defplan {argv[0]}: ") and said.count("\n") == 1
         if code not in (0, 1) or "mistake" in said or (code == 1 and said and not sentence):
             part.faults.append(f"{argv[0]}: exit {code}: {said[:200]}")
         told, kept = told + (code == 1), kept + (code == 0)
