@@ -27,11 +27,13 @@ def find_logs(places: str | Path | Iterable[str | Path]) -> list[Path]:
     """Return the logs that places name: files as they are, of folders all `.mcap` files inside, sorted.
 
     Raises:
-        DefplanError: a folder holds none.
+        DefplanError: there is no such place, or a folder holds none.
     """
     paths = [places] if isinstance(places, str | Path) else list(places)
     found: list[Path] = []
     for path in map(Path, paths):
+        if not path.exists():
+            raise DefplanError(f"log {path} does not exist")
         inside = sorted(path.rglob("*.mcap")) if path.is_dir() else [path]
         if not inside:
             raise DefplanError(f"there is no log (.mcap) in {path}")

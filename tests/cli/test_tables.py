@@ -73,3 +73,8 @@ def test_what_export_cannot_do_is_one_sentence(folder, options, sentence, capfd,
     monkeypatch.chdir(folder)
     code, out, err = run(["export", ".", *options], capfd)
     assert code == 1 and out == "" and err.count("\n") == 1 and sentence in err
+
+
+def test_a_log_that_is_not_there_is_no_row(folder, capfd):
+    code, out, err = run(["logs", folder, folder / "nothere", "--quiet"], capfd)
+    assert code == 1 and not out and err.endswith("nothere does not exist\n")
