@@ -5,8 +5,6 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
-import mujoco
-
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.kernel.library import kernel, library_path
 
@@ -14,13 +12,22 @@ NAME = "defplan.reduced_fem"
 LIBRARY = library_path("host", "libdefplan_plugin.so")
 
 
-@functools.cache
 def load_plugin(library: Path = LIBRARY) -> None:
     """Register the plugin with MuJoCo; later calls do nothing.
 
     Raises:
         DefplanError: the library is not built, or was built for another MuJoCo.
     """
+    # here, and not above: importing MuJoCo loads the plugin (`on_import`), by this module
+    import mujoco  # noqa: F401
+
+    _register(library)
+
+
+@functools.cache
+def _register(library: Path) -> None:
+    import mujoco
+
     if not library.is_file():
         raise DefplanError(
             f"the MuJoCo plugin {library} is not built: install defplan from source"

@@ -62,3 +62,17 @@ def test_import_defplan_mj_does_not_import_mujoco():
         "import sys, defplan_mj; assert 'mujoco' not in sys.modules and 'numpy' not in sys.modules"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+@pytest.mark.parametrize("first", ["defplan_mj.host.plugin", "defplan_mj.host.physics"])
+def test_whichever_module_comes_first_the_plugin_is_loaded_once(saved, first):
+    folder, expected = saved
+    code = f"import {first}\nfrom defplan_mj.host.plugin import load_plugin\nload_plugin()\nimport mujoco"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{READ['mjb']}\n{STEP}"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_array_equal(np.frombuffer(bytes.fromhex(done.stdout.strip())), expected)
