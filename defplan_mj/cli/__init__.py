@@ -32,6 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if argv is None:  # the process is ours
             streams.prepare()
+            stops.end_with_code()
         stops.listen()
         threads.set_environment(1)  # before anything loads numpy
         from defplan_mj.cli.parser import parse

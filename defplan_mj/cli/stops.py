@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
+import os
 import signal
 import sys
 from types import FrameType
@@ -45,6 +48,21 @@ class Stops:
             self._before.clear()
         if self._before and signal.getsignal(signal.SIGALRM) is signal.SIG_DFL:
             self._before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._again)
+
+    def end_with_code(self) -> None:
+        """Let this process end with `code` after a stop, whatever it interrupted.
+
+        CPython ends itself by SIGINT where a KeyboardInterrupt came out of an `exec` of text, as every
+        dataclass has one, though it was caught (Py_RunMain, for `python -m`).
+        """
+        atexit.register(self._end)  # before others register: it is the last to be called
+
+    def _end(self) -> None:
+        if self.received is not None:
+            for stream in (sys.stdout, sys.stderr):
+                with contextlib.suppress(OSError, ValueError, AttributeError):
+                    stream.flush()
+            os._exit(self.code)
 
     def acknowledge(self) -> None:
         """Ignore all further stops: this one, or an error, is being told."""

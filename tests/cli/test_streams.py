@@ -19,6 +19,7 @@ from defplan_mj.base.printable import is_name, printable
 from defplan_mj.cli import commands
 from defplan_mj.cli.console import Console, table
 from defplan_mj.cli.stops import Stops, Terminated
+from tests.samples.processes import heed_ctrl_c
 
 COMMAND = f"{sys.executable} -m defplan_mj"
 
@@ -169,3 +170,25 @@ def test_in_a_thread_of_a_program_that_calls_us_signals_stay_its_own(monkeypatch
     thread.start()
     thread.join()
     assert codes == [0] and signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_stop_within_an_exec_ends_with_its_code(tmp_path):
+    (tmp_path / "stopped.py").write_text(
+        "import sys\n"
+        "from defplan_mj import cli\n"
+        "from defplan_mj.cli import commands\n"
+        "def stop(arguments, console):\n"
+        "    exec('import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(5)')\n"
+        "commands.list_installed = stop\n"
+        "sys.argv[1:] = ['list']\n"
+        "sys.exit(cli.main())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "stopped"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        preexec_fn=heed_ctrl_c,
+    )
+    assert done.returncode == 130
+    assert done.stderr == "defplan list: stopped; run it again to go on\n"
