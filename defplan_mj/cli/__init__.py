@@ -48,8 +48,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             traceback.print_exc()
         return _report(error, stops, program)
     finally:
-        if argv is not None or stops.received is None:
-            stops.leave()  # else Python would be interrupted while it leaves
+        if argv is None:
+            stops.acknowledge()  # what was asked is done; Python would be interrupted while it leaves
+        else:
+            stops.leave()
 
 
 def _run(arguments: argparse.Namespace) -> int:

@@ -12,4 +12,5 @@ def test_runs_stopped_at_random_moments_become_the_undisturbed_one_to_the_bit(tm
     wanted, seconds = undisturbed(tmp_path / "undisturbed")
     assert {"body.npz", "gait.npz", "policy.npz", "k2-00.mcap", "report.html"} <= set(wanted)
     found = stop_at_random(tmp_path, 12, wanted, seconds, seed=1)
-    assert found.faults == [] and found.stops == 12
+    assert not found.faults, "\n".join(found.faults)
+    assert found.stops == 12
