@@ -15,6 +15,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli.console import Console
 from defplan_mj.cli.text import (
     bench_text,
+    bound_text,
     check_text,
     evaluation_text,
     gait_text,
@@ -198,6 +199,46 @@ def evaluate(arguments: argparse.Namespace, console: Console) -> int:
         **without_rows(result),
     }
     console.result(data, evaluation_text(data))
+    return 0
+
+
+def bound(arguments: argparse.Namespace, console: Console) -> int:
+    """Judge planners, in the collision check, against one that is told all obstacles and how they move."""
+    from defplan_mj import registry
+    from defplan_mj.base.errors import DefplanError
+    from defplan_mj.pipeline.trial import robot
+    from defplan_mj.planning.outcome import PLACES
+    from defplan_mj.studies.bound import judge, settings
+
+    where = settings(arguments.scenes or list(PLACES), arguments.obstacle_speed or ())
+    with _stage(arguments, console, "planner") as run:
+        run.do("planner")
+        own, spec = run.plan.planner.name, run.plan.spec
+        surrogate = run.result("surrogate")
+        planners = {}
+        for name in arguments.planner or [own]:
+            solver = registry.get_solver(name, "planner")
+            if name != own and solver.needs_training:
+                raise DefplanError(
+                    f"the run has no trained {name}: run with --planner {name} first"
+                )
+            planners[name] = (
+                run.result("planner")
+                if name == own
+                else solver.train(surrogate, spec.navigation, arguments.seed).planner
+            )
+        rows = judge(
+            robot(run),
+            surrogate,
+            spec.navigation,
+            planners,
+            where,
+            arguments.episodes,
+            arguments.seed,
+            run.progress_of("bound"),
+        )
+    data = {"task": spec.name, "seed": arguments.seed, "rows": rows}
+    console.result(data, bound_text(data))
     return 0
 
 

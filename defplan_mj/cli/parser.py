@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 from defplan_mj.base.printable import printable
 from defplan_mj.cli import body, commands, logs, new, study
+from defplan_mj.planning.outcome import PLACES, SCENES
 
 _AXES = ("x", "-x", "y", "-y", "z", "-z")
 
@@ -52,6 +53,9 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(
                 action, f"there is no {value}{guess} choose from {', '.join(known)}"
             )
+
+
+_SCENES = (*SCENES, *PLACES)
 
 
 class _Version(argparse.Action):
@@ -138,6 +142,9 @@ def build() -> argparse.ArgumentParser:
     _surrogate(add("surrogate", commands.surrogate, "fit the rigid surrogate to a task's gaits"))
     _planner(add("planner", commands.planner, "train a planner on the surrogate"))
     _evaluate(add("evaluate", commands.evaluate, "let a planner steer the reduced dynamics"))
+    _bound(
+        add("bound", commands.bound, "judge planners against one that knows all that moves where")
+    )
     _robustness(
         add(
             "robustness", commands.robustness, "count a task's falls among pushes, slopes and so on"
@@ -322,9 +329,10 @@ def _evaluate(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument(
         "--scenes",
-        choices=("k2", "novel"),
+        choices=_SCENES,
+        metavar="NAME",
         default="novel",
-        help="training targets, or unseen scenes (default)",
+        help=f"k2 (training targets), novel (unseen scenes, default) or {', '.join(_SCENES[2:])}",
     )
     sub.add_argument("--obstacles", type=_natural, metavar="N", help="on the way to each target")
     sub.add_argument("--episodes", type=_count, metavar="N", help="how many scenes")
@@ -332,6 +340,35 @@ def _evaluate(sub: argparse.ArgumentParser) -> None:
         "--obstacle-speed", type=_not_negative, default=0.0, metavar="V", help="m/s (default: 0)"
     )
     sub.add_argument("--log", type=Path, metavar="DIR", help="log each episode (MCAP) into DIR")
+    _stage(sub)
+    _common(sub)
+
+
+def _bound(sub: argparse.ArgumentParser) -> None:
+    _task(sub)
+    sub.add_argument(
+        "--planner",
+        metavar="NAME",
+        action="append",
+        help="to be judged, as often as you like (default: the run's)",
+    )
+    sub.add_argument(
+        "--scenes",
+        choices=_SCENES,
+        metavar="NAME",
+        action="append",
+        help=f"as often as you like: {', '.join(_SCENES)} (default: all but k2 and novel)",
+    )
+    sub.add_argument(
+        "--obstacle-speed",
+        type=_not_negative,
+        action="append",
+        metavar="V",
+        help="in k2 and novel, as often as you like, m/s (default: 0)",
+    )
+    sub.add_argument(
+        "--episodes", type=_count, default=50, metavar="N", help="of each kind (default: 50)"
+    )
     _stage(sub)
     _common(sub)
 

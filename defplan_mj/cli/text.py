@@ -101,7 +101,13 @@ def surrogate_text(data: dict[str, Any]) -> str:
         for t in data["tasks"]
     ]
     columns = ["gait", "rotation, rad (sd)", "translation, m (sd)"]
-    return table(columns, rows, f"Surrogate, {data['pairs']} pairs a gait")
+    text = table(columns, rows, f"Surrogate, {data['pairs']} pairs a gait")
+    if not (told := data.get("held_out")):
+        return text
+    errors = [
+        f"{told[f'{key}place_m']:.3f} m, {told[f'{key}turn_rad']:.3f} rad" for key in ("plain_", "")
+    ]
+    return f"{text}\na cycle that was not fitted is off by {errors[0]}; by the gait before, too, {errors[1]}"
 
 
 _EVALUATION_COLUMNS = ["episodes", "success", "95%", "collision", "fall", "timeout", "x real time"]
@@ -121,6 +127,27 @@ def _evaluation_row(data: dict[str, Any]) -> list[str]:
         *(f"{100 * data.get(name, 0.0):.1f}%" for name in ("collision", "fall", "timeout")),
         f"{data['real_time_factor']:.0f}",
     ]
+
+
+def bound_text(data: dict[str, Any]) -> str:
+    """Return a row for each kind of scenes and planner."""
+    rows = []
+    for row in data["rows"]:
+        low, high = row["interval"]
+        share = "-" if row["of_bound"] is None else f"{100 * row['of_bound']:.1f}%"
+        rows.append(
+            [
+                *(row["scenes"], f"{row['speed']:g}", row["planner"], str(row["episodes"])),
+                f"{100 * row['success']:.1f}%",
+                f"{100 * low:.1f}-{100 * high:.1f}%",
+                share,
+                *(f"{100 * row[name]:.1f}%" for name in ("collision", "fall", "timeout")),
+                f"{row['decision_ms']:.2f}",
+            ]
+        )
+    columns = ["scenes", "m/s", "planner", "episodes", "success", "95%", "of the bound"]
+    columns += ["collision", "fall", "timeout", "ms a decision"]
+    return table(columns, rows, f"{data['task']}: planners against one that knows everything")
 
 
 def robustness_text(data: dict[str, Any]) -> str:

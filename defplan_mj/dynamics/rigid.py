@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class RigidDynamics:
-    """f_fit: (c, R) becomes (c + R t_j, R R_j) under gait j (paper, section IV-B).
+    """f_fit: (c, R) becomes (c + R t_ij, R R_ij) under gait j after gait i (paper, section IV-B).
 
     A state is (7,): position (3, m) and unit quaternion w x y z, as in the reduced state's first
     seven entries.
@@ -24,7 +24,7 @@ class RigidDynamics:
 
     def __init__(self, surrogate: Surrogate) -> None:
         self.surrogate = surrogate
-        self._turns = rotations.of_matrix(surrogate.rotations)
+        self._motions = surrogate.switched_motions("spatial")
 
     @property
     def timestep(self) -> float:
@@ -35,8 +35,11 @@ class RigidDynamics:
         """Return the state at the origin, (7,)."""
         return np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
-    def step(self, x: np.ndarray, gait: int) -> np.ndarray:
+    def step(self, x: np.ndarray, gait: int, before: int | None = None) -> np.ndarray:
         """Return the state (7,) one cycle of `gait` after `x` (7 or more; the rest is not used).
+
+        Args:
+            before: the gait of the cycle before; None: the body was at rest.
 
         Raises:
             DefplanError: there is no such gait.
@@ -44,14 +47,16 @@ class RigidDynamics:
         if not 0 <= gait < len(self.surrogate.task_names):
             names = ", ".join(self.surrogate.task_names)
             raise DefplanError(f"there is no gait {gait}; the surrogate has {names}")
+        motion = self._motions.of((self.surrogate.rest if before is None else before, gait))
         attitude = rotations.rotation(x[3:7])
-        centre = x[:3] + attitude.apply(self.surrogate.translations[gait])
-        turned = attitude * self._turns[gait]
+        centre = x[:3] + attitude.apply(motion.translations)
+        turned = attitude * rotations.of_matrix(motion.rotations)
         return np.concatenate([centre, rotations.wxyz(turned, positive=True)])
 
     def rollout(self, x0: np.ndarray, gaits: np.ndarray) -> np.ndarray:
-        """Return the states (N + 1, 7) from `x0` under the gaits (N,)."""
-        states = [np.asarray(x0, float)[:7]]
-        for gait in gaits:
-            states.append(self.step(states[-1], int(gait)))
+        """Return the states (N + 1, 7) from `x0`, at rest, under the gaits (N,)."""
+        states, before = [np.asarray(x0, float)[:7]], None
+        for gait in map(int, gaits):
+            states.append(self.step(states[-1], gait, before))
+            before = gait
         return np.array(states)

@@ -24,9 +24,11 @@ from defplan_mj.task import Navigation
 if TYPE_CHECKING:
     from dm_control.rl.control import Environment
 
+    from defplan_mj.host.physics import Physics
     from defplan_mj.planning.robot import Robot
     from defplan_mj.planning.surrogate import Surrogate
 
+ROOM = 32  # obstacles that there is room for in any case
 PARALLEL_FROM = 16  # episodes; fewer are done before a second process has started
 
 
@@ -148,6 +150,7 @@ def run_episode(
     task.tells_obstacles = needs_obstacles(planner)
     observation = env.reset().observation
     planner.reset()
+    told, seconds = getattr(planner, "sees_all", False), env.control_timestep()
     if recorder is not None:
         start = {
             "timestep": physics.timestep(),
@@ -163,7 +166,10 @@ def run_episode(
         while task.outcome == Outcome.RUNNING:
             at, x, laser = physics.time(), physics.reduced_state(), observation["laser"]
             begun = time.perf_counter()
-            values = planner.values(observation)
+            seen = observation
+            if told:
+                seen = {**observation, "obstacles": obstacles(physics, scene, seconds)}
+            values = planner.values(seen)
             gait = int(np.argmax(values))
             decided = time.perf_counter()
             step = env.step(gait)
@@ -195,6 +201,23 @@ def run_episode(
     )
 
 
+def obstacles(physics: Physics, scene: Scene, seconds: float) -> np.ndarray:
+    """Return what is told only to a planner that `sees_all`: obstacles (m, 2d + 1), in its frame.
+
+    Each row is an obstacle's centre (d), m, its radius, m, and how far it moves in a cycle of `seconds`
+    (d), m.
+    """
+    d, frame = scene.place.dimension, physics.planning_frame()
+    centres = scene.centres + physics.data.time * scene.velocities
+    drift = scene.velocities * seconds
+    rows = [
+        ((centres - physics.com()) @ frame)[:, :d],
+        scene.radii[:, None],
+        (drift @ frame)[:, :d],
+    ]
+    return np.concatenate(rows, axis=1)
+
+
 def evaluate(
     robot: Robot,
     surrogate: Surrogate,
@@ -220,7 +243,8 @@ def evaluate(
     pilot: Planner = Shield(planner, surrogate, navigation) if shield else planner
     if workers is None:
         workers = threads.available_processes() if len(scenes) >= PARALLEL_FROM else 1
-    run = functools.partial(_run_share, robot, navigation, pilot, recorder, context)
+    room = max([ROOM, *(len(scene.radii) for scene in scenes)])
+    run = functools.partial(_run_share, robot, navigation, room, pilot, recorder, context)
     numbered = list(enumerate(scenes))
     pieces = 1 if workers == 1 else 8 * workers
     shares = [numbered[i::pieces] for i in range(pieces) if numbered[i::pieces]]
@@ -255,13 +279,14 @@ def _as_list(run: Callable[[_Share], Iterator[Episode]], share: _Share) -> Any:
 def _run_share(
     robot: Robot,
     navigation: Navigation,
+    room: int,
     pilot: Planner,
     recorder: RecorderFactory | None,
     context: Mapping[str, Any] | None,
     share: _Share,
 ) -> Iterator[Episode]:
     """Run the episodes of some scenes, one after the other."""
-    env = _environment(robot, navigation)
+    env = _environment(robot, navigation, room)
     for index, scene in share:
         manager = recorder(index, scene) if recorder is not None else None
         if manager is None:
@@ -274,16 +299,16 @@ def _run_share(
 _environments: dict[tuple[str, ...], Environment] = {}
 
 
-def _environment(robot: Robot, navigation: Navigation) -> Environment:
-    """Return this process' environment, built once."""
-    key = (*robot.identity, repr(navigation))
+def _environment(robot: Robot, navigation: Navigation, room: int) -> Environment:
+    """Return this process' environment with room for so many obstacles, built once."""
+    key = (*robot.identity, repr(navigation), str(room))
     if key not in _environments:
         _environments.clear()
 
         def sampler(random: np.random.RandomState) -> Scene:
             raise AssertionError("an evaluation sets every scene itself")
 
-        _environments[key] = robot_environment(robot, navigation, sampler)
+        _environments[key] = robot_environment(robot, navigation, sampler, max_obstacles=room)
     return _environments[key]
 
 

@@ -146,6 +146,29 @@ DP_API double dp_clearance(const double* blob, const double* qpos, int n_geom, c
 /* Signed distance of one point to one geom, and its outward gradient (normal, may be NULL). */
 DP_API double dp_geom_distance(const dp_geom* g, const double p[3], double normal[3]);
 
+/* Planning with rigid motions of whole gait cycles, in d = 2 or 3 dimensions.
+ *
+ * Least squared distance `out` (n x n_ways, on entry the largest that counts) of each robot's points
+ * to the ways of its tree. Points offsets[i] .. offsets[i + 1] - 1 are robot i's: places and drifts in
+ * a cycle (both x d). Trees: start and end (trees x d x n_ways), begun (n_ways): the cycles before. */
+DP_API void dp_ways(int d, int n, const int* offsets, const float* points, const float* drift,
+                    const int* tree, int n_ways, const float* start, const float* end,
+                    const float* begun, float* out);
+/* A search for a way to a target, in the robot's frame. */
+typedef struct {
+  int d, n_gaits, before, n_balls, n_axes; /* before: the gait before the first */
+  int nodes, cycles, enough; /* made at most; of a way at most; ahead that no way may be safe */
+  double goal_radius, margin, weight, cell, heading, advance, per_radian, horizon;
+  const double *rotations, *translations; /* (before x gait x d x d), (before x gait x d) */
+  const double *target, *balls; /* (d); (n_balls x (2d + 1)): centre, radius, drift in a cycle */
+  const double* axes;           /* (n_axes x d) along which gaits advance */
+} dp_search_problem;
+/* Bytes of memory that a search among so many nodes needs. */
+DP_API size_t dp_search_size(int nodes);
+/* The gaits of a way (plan, `cycles` long at most); returns how many, or if there is no way found
+ * minus those of what comes nearest. */
+DP_API int dp_search(const dp_search_problem* problem, void* memory, int* plan);
+
 /* CasADi (casadi.c) can pass numbers only: a slot holds a copy of a model for its functions
  * defplan_step_<ss> (steps = 1), defplan_rollout_<ss> and, with feet, defplan_feet_<ss>, ss being
  * the slot in two digits. `key` (at most 64 characters) names the model; with `share` a slot of the

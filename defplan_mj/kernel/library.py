@@ -65,6 +65,19 @@ class Geom(ctypes.Structure):
     ]
 
 
+class SearchProblem(ctypes.Structure):
+    """dp_search_problem."""
+
+    _integers = ("d", "n_gaits", "before", "n_balls", "n_axes", "nodes", "cycles", "enough")
+    _numbers = ("goal_radius", "margin", "weight", "cell", "heading", "advance", "per_radian")
+    _arrays = ("rotations", "translations", "target", "balls", "axes")
+    _fields_ = [
+        *((name, c_int) for name in _integers),
+        *((name, c_double) for name in (*_numbers, "horizon")),
+        *((name, c_void_p) for name in _arrays),
+    ]
+
+
 _array = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
 _pointer = ctypes.POINTER
 
@@ -113,6 +126,7 @@ def kernel() -> ctypes.CDLL:
     check_machine(lib)
     a, p = _array, _pointer
     m = p(Model)
+    f, i = (np.ctypeslib.ndpointer(kind, flags="C_CONTIGUOUS") for kind in (np.float32, np.int32))
     signatures = {
         "dp_check": (c_int, [a, c_size_t]),
         "dp_check_model": (c_int, [m]),
@@ -133,6 +147,9 @@ def kernel() -> ctypes.CDLL:
         "dp_surface": (None, [a, a, a]),
         "dp_clearance": (c_double, [a, a, c_int, p(Geom), c_double, p(c_int), p(c_int)]),
         "dp_geom_distance": (c_double, [p(Geom), a, a]),
+        "dp_ways": (None, [c_int, c_int, i, f, f, i, c_int, f, f, f, f]),
+        "dp_search_size": (c_size_t, [c_int]),
+        "dp_search": (c_int, [p(SearchProblem), c_void_p, i]),
         "dp_slot_open": (c_int, [m, c_int, c_char_p, c_int]),
         "dp_slot_close": (None, [c_int]),
         "dp_slot_sizes": (None, [c_int, c_char_p]),

@@ -18,7 +18,7 @@ from defplan_mj.log.reader import EpisodeLog, read_log
 FARTHEST_CLEARANCE = 1.0  # m; where the host's distance query (CUTOFF in host/plugin.c) saturates
 
 SETTLING = 3
-"""Cycles in which a body that starts at rest gets up to speed; the surrogate knows full speed only."""
+"""Cycles in which a body that starts at rest gets up to speed; the surrogate knows the first and full speed."""
 
 
 def _heading_error(true: np.ndarray, predicted: np.ndarray) -> np.ndarray:
@@ -304,8 +304,11 @@ def _predictions(log: EpisodeLog, rows: np.ndarray) -> np.ndarray:
     """Return the (m, 7) logged predictions; those that were not logged are made of the attachment."""
     poses, surrogate = log.surrogate_pose[rows].copy(), RigidDynamics(log.surrogate)
     for i in np.flatnonzero(~np.isfinite(poses).all(1)):
-        start = log.states[log.cycle_steps[rows[i]]]
-        poses[i] = surrogate.step(start, int(log.gait_index[rows[i]]))
+        row = int(rows[i])
+        before = int(log.gait_index[row - 1]) if row else None
+        poses[i] = surrogate.step(
+            log.states[log.cycle_steps[row]], int(log.gait_index[row]), before
+        )
     return poses
 
 

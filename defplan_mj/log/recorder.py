@@ -125,6 +125,7 @@ class Recorder:
         self._moving = bool(np.any(scene.velocities))
         self._navigation = _navigation(given, scene)
         self._steps = self._cycles = 0
+        self._gait: int | None = None  # of the cycle before
         self._cycle_times = [time]  # of the states since the running cycle began
         self._start = self._last = x
         self._chunk_time = time
@@ -237,7 +238,8 @@ class Recorder:
         for channel, numbers in self._at_end:
             self._numbers(channel.topic, end, stamp, numbers(done))
         if surrogate_pose is None and self._files.surrogate is not None:
-            surrogate_pose = RigidDynamics(self._files.surrogate).step(x[:7], gait_index)
+            surrogate = RigidDynamics(self._files.surrogate)
+            surrogate_pose = surrogate.step(x[:7], gait_index, self._gait)
         if surrogate_pose is not None:
             message = wire.pose_in_frame(stamp, self._frame, surrogate_pose.tolist())
             self._write(channels.SURROGATE, end, message)
@@ -246,6 +248,7 @@ class Recorder:
             # another such cycle would not fit; between cycles, chunks do not overlap in time
             self._flush(last)
         self._cycles += 1
+        self._gait = gait_index
         self._cycle_times = [last]
         self._start = self._last
 

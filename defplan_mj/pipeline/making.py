@@ -267,12 +267,24 @@ def _surrogate_figures(run: Run) -> dict[str, Any]:
         {"name": task, **{name: float(getattr(surrogate, name)[k]) for name in names}}
         for k, task in enumerate(surrogate.task_names)
     ]
-    return {"pairs": surrogate.pairs, "tasks": tasks}
+    switching = surrogate.switching
+    held_out = {} if switching is None else switching.held_out
+    return {"pairs": surrogate.pairs, "tasks": tasks, "held_out": held_out}
+
+
+def _surrogate_inputs(run: Run) -> dict[str, Any]:
+    from defplan_mj.planning.surrogate import FORMAT_VERSION
+
+    options = run.plan.options
+    return {
+        "the file format": FORMAT_VERSION,
+        "options": {"pairs": options.pairs, "seed": options.seed},
+    }
 
 
 SURROGATE = Stage(
     "surrogate",
-    lambda run: {"options": {"pairs": run.plan.options.pairs, "seed": run.plan.options.seed}},
+    _surrogate_inputs,
     _make_surrogate,
     needs=("body", "gait"),
     load=_load_surrogate,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.pipeline.making import policy_file
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def evaluate(
 
     Args:
         run: its planner is finished.
-        scenes: 'k2' (training targets) or 'novel' (unseen scenes).
+        scenes: 'k2' (training targets), 'novel' (unseen scenes) or a name of `planning.places`.
         shield: wrap the planner in the safety shield.
         episodes: how many (None: the task's number of training targets, the run's of unseen scenes).
         obstacles: on the way to each target (None: the task's).
@@ -108,12 +109,21 @@ def evaluate(
 def _scenes(
     run: Run, scenes: str, episodes: int | None, obstacles: int | None, speed: float
 ) -> list[Scene]:
+    from defplan_mj.planning.outcome import PLACES
+    from defplan_mj.planning.places import place_scenes
     from defplan_mj.planning.scenes import k2_scenes, novel_scenes
 
     navigation, options = run.plan.spec.navigation, run.plan.options
     if scenes == "k2":
         return k2_scenes(navigation, options.seed, episodes, obstacles, speed)
     count = episodes or options.episodes
+    if scenes in PLACES:
+        if obstacles is not None or speed:
+            raise DefplanError(
+                f"the scenes {scenes} have obstacles of their own, which stand still"
+            )
+        radius = run.result("surrogate").radius
+        return place_scenes(scenes, navigation, count, options.seed, radius)
     return novel_scenes(navigation, count, options.seed, obstacles, speed)
 
 

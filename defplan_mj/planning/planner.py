@@ -16,7 +16,10 @@ from defplan_mj.task import Navigation
 Observation = Mapping[str, np.ndarray]
 """'laser' (beams,) m; 'target' (3,) m, of which the first d count; 'state' reduced state. All in the
 robot's frame: the yaw frame of planar tasks (d = 2), the body frame of those in space (d = 3). In the
-shield there is 'safe' (K,), too: which gaits it lets pass; the planner's best of these is done."""
+shield there is 'safe' (K,), too: which gaits it lets pass; the planner's best of these is done; and
+'drift' (p, d): how far the reading's points move in a cycle, m (`planning.tracking`). A planner with an
+attribute `sees_all` that is true is also told 'obstacles' (`host.evaluation.obstacles`): a bound, which
+knows what a robot cannot know."""
 
 
 def carried_out(values: np.ndarray, observation: Observation) -> int:

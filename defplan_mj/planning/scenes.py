@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ FAR = 1e4
 
 # First words of the seeds, so that no two kinds of scenes share random numbers.
 _K2_STREAM, _NOVEL_STREAM, _TRAINING_STREAM, _VALIDATION_STREAM = range(101, 105)
-_K2_TARGETS_STREAM = 105
+_K2_TARGETS_STREAM, _VALIDATION_TARGETS_STREAM = 105, 106
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def scene_batch(
     counts: np.ndarray,
     lateral: float,
     radii: tuple[float, float] = (0.5, 2.0),
-    speed: float = 0.0,
+    speed: float | np.ndarray = 0.0,
 ) -> SceneBatch:
     """Put obstacles of random size and place on the way to each target (Fig. 3 of the paper).
 
@@ -197,7 +197,7 @@ def scene_batch(
         counts: (n,) obstacles wanted.
         lateral: m.
         radii: range of the obstacles' radii, m.
-        speed: of the obstacles, each in its own random direction, m/s.
+        speed: of the obstacles, each in its own random direction, m/s; of all scenes or of each (n,).
     """
     n, most = len(directions), int(counts.max(initial=0))
     tries = 6 * most + 16
@@ -218,7 +218,9 @@ def scene_batch(
         orientations=orientations,
         centres=np.where(used[..., None], centre[rows, chosen], FAR),
         radii=np.where(used, radius[rows, chosen], 0.0),
-        velocities=np.where(used[..., None], speed * course[rows, chosen], 0.0),
+        velocities=np.where(
+            used[..., None], np.reshape(speed, (-1, 1, 1)) * course[rows, chosen], 0.0
+        ),
         goal_radius=navigation.goal_radius,
         max_cycles=navigation.max_cycles,
     )
@@ -244,18 +246,30 @@ def k2_scenes(
     episodes = navigation.k2 if episodes is None else episodes
     obstacles = navigation.k2_obstacles if obstacles is None else obstacles
     _check(episodes, obstacles, obstacle_speed)
+    return _k2(navigation, [_K2_STREAM, seed], seed, episodes, obstacles, obstacle_speed)
+
+
+def _k2(
+    navigation: Navigation,
+    stream: list[int],
+    seed: int,
+    episodes: int,
+    obstacles: int,
+    speed: float,
+) -> list[Scene]:
+    """Return scenes of the seed's training targets, with obstacles from a stream of random numbers."""
     targets = spread_directions(
         navigation.k2, navigation.dimension, np.random.default_rng([_K2_TARGETS_STREAM, seed])
     )
     batch = scene_batch(
         navigation,
-        np.random.default_rng([_K2_STREAM, seed]),
+        np.random.default_rng(stream),
         directions=targets[np.arange(episodes) % navigation.k2],
         orientations=level_attitude(np.zeros(episodes)),
         distances=np.full(episodes, navigation.distance),
         counts=np.full(episodes, obstacles),
         lateral=1.5,
-        speed=obstacle_speed,
+        speed=speed,
     )
     return batch.scenes(_labels("k2", seed, episodes))
 
@@ -288,10 +302,15 @@ def novel_scenes(
     return batch.scenes(_labels("novel", seed, n))
 
 
-def training_scenes(navigation: Navigation, n: int, seed: int) -> SceneBatch:
-    """Return n varied scenes: targets at 0.3 to 1.1 of the distance, 0 to all obstacles."""
+def training_scenes(navigation: Navigation, n: int, seed: int, fastest: float = 0.0) -> SceneBatch:
+    """Return n varied scenes: targets at 0.3 to 1.1 of the distance, 0 to all obstacles.
+
+    Args:
+        fastest: speed of the obstacles, m/s: in half of the scenes they stand, in the others they have
+            a speed up to this one, the same for all of a scene.
+    """
     generator = np.random.default_rng([_TRAINING_STREAM, seed])
-    return scene_batch(
+    batch = scene_batch(
         navigation,
         generator,
         directions=random_directions(generator, n, navigation.dimension),
@@ -300,10 +319,15 @@ def training_scenes(navigation: Navigation, n: int, seed: int) -> SceneBatch:
         counts=generator.integers(0, navigation.novel_obstacles + 1, n),
         lateral=4.0,
         radii=(0.3, 2.0),
+        speed=1.0,
     )
+    speed = np.maximum(generator.uniform(-fastest, fastest, n), 0)[:, None, None]
+    return replace(batch, velocities=speed * batch.velocities)
 
 
-def validation_scenes(navigation: Navigation, n: int, seed: int) -> SceneBatch:
+def validation_scenes(
+    navigation: Navigation, n: int, seed: int, obstacle_speed: float = 0.0
+) -> SceneBatch:
     """Return n scenes like `novel_scenes`, from a stream of their own: to choose a policy by."""
     generator = np.random.default_rng([_VALIDATION_STREAM, seed])
     return scene_batch(
@@ -314,7 +338,16 @@ def validation_scenes(navigation: Navigation, n: int, seed: int) -> SceneBatch:
         distances=np.full(n, navigation.distance),
         counts=np.full(n, navigation.novel_obstacles),
         lateral=4.0,
+        speed=obstacle_speed,
     )
+
+
+def validation_targets(
+    navigation: Navigation, n: int, seed: int, obstacle_speed: float = 0.0
+) -> SceneBatch:
+    """Return n scenes like `k2_scenes`, of the same targets and other obstacles: to choose a policy by."""
+    stream = [_VALIDATION_TARGETS_STREAM, seed]
+    return SceneBatch.of(_k2(navigation, stream, seed, n, navigation.k2_obstacles, obstacle_speed))
 
 
 def _labels(kind: str, seed: int, n: int) -> list[dict]:

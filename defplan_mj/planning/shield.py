@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from defplan_mj.planning.motion_tree import MotionTree
+from defplan_mj.planning.motion_tree import MotionTree, lookahead, motion_trees
 from defplan_mj.planning.planner import Observation, Planner, needs_obstacles
-from defplan_mj.planning.sensors.sensor import seen_points
 from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.planning.tracking import Tracker
 from defplan_mj.task import Navigation
 
 LEVELS = ((4, 0.3), (4, 0.05), (2, 0.0), (1, 0.0))
@@ -24,7 +24,9 @@ class Shield:
     ball that holds the body clear of every laser point by a margin. If no gait is, a shorter
     sequence and a smaller margin must do; if none is left, the gait that stays farthest from the
     points. A robot that is within the margin already may move away, or turn in its place as long as
-    half the margin is left: turns slip a little, and many of them must not add up to a hit.
+    half the margin is left: turns slip a little, and many of them must not add up to a hit. What moves
+    is followed (`planning.tracking`) and expected to go on as it does; then the robot looks farther ahead, and if
+    no sequence keeps a margin, those with the most room at their narrowest count as safe.
 
     Args:
         planner: to be shielded.
@@ -41,11 +43,15 @@ class Shield:
         levels: tuple[tuple[int, float], ...] = LEVELS,
     ) -> None:
         self.planner, self.levels = planner, levels
-        self.radius, self.navigation = surrogate.radius, navigation
+        self.sees_all = getattr(planner, "sees_all", False)
+        self.radius, self.dimension = surrogate.radius, navigation.dimension
         deepest = max(depth for depth, _ in levels)
-        self.tree = MotionTree(surrogate.motions(navigation.space), deepest)
-        farthest = float(np.linalg.norm(self.tree.end, axis=1).max())
-        self.reach = farthest + self.radius + max(margin for _, margin in levels)
+        motions = surrogate.switched_motions(navigation.space)
+        self.trees = motion_trees(motions, (1,) * deepest)
+        self.long_trees = motion_trees(motions, lookahead(surrogate.rest))
+        self.tracker = Tracker(surrogate, navigation)
+        ends = [np.linalg.norm(tree.end, axis=1).max() for tree in self.trees + self.long_trees]
+        self.reach = float(max(ends)) + self.radius + max(margin for _, margin in levels)
 
     @property
     def needs_obstacles(self) -> bool:
@@ -53,32 +59,66 @@ class Shield:
         return needs_obstacles(self.planner)
 
     def reset(self) -> None:
-        """Reset the wrapped planner."""
+        """Reset the wrapped planner, and forget what moved."""
         self.planner.reset()
+        self.tracker.reset()
 
     def values(self, observation: Observation) -> np.ndarray:
         """Return the planner's values (K,), those of unsafe gaits lowered below all others."""
-        safe = self.safe(seen_points(observation["laser"], self.navigation))
-        values = self.planner.values({**observation, "safe": safe})
-        return np.where(safe, values, values - (np.ptp(values) + 1.0))
+        target = observation["target"][: self.dimension]
+        seen = self.tracker.update(observation["laser"], target)
+        safe = self.safe(seen.points, seen.drift, self.tracker.odometry.gait)
+        values = self.planner.values({**observation, "safe": safe, "drift": seen.drift_of_all})
+        values = np.where(safe, values, values - (np.ptp(values) + 1.0))
+        self.tracker.chose(int(np.argmax(values)))
+        return values
 
-    def safe(self, points: np.ndarray) -> np.ndarray:
-        """Return (K,) which gaits are safe among the (p, d) points, at least one of them."""
-        gaits = self.tree.gaits
+    def safe(
+        self, points: np.ndarray, drift: np.ndarray | None = None, before: int = -1
+    ) -> np.ndarray:
+        """Return (K,) which gaits are safe among points, at least one of them.
+
+        Args:
+            points: (p, d) m.
+            drift: (p, d) how far each moves in a cycle, m; None: nothing moves.
+            before: the gait of the cycle before; -1: the robot is at rest.
+        """
+        drift = np.zeros_like(points) if drift is None else drift
+        moving = bool(drift.any())
+        tree = (self.long_trees if moving else self.trees)[before]
         # no cycle comes near those beyond reach
-        points = points[np.einsum("pd,pd->p", points, points) <= self.reach**2]
+        reach = self.reach + sum(tree.holds) * np.linalg.norm(drift, axis=1)
+        near = np.einsum("pd,pd->p", points, points) <= reach**2
+        points, drift = points[near], drift[near]
         if not len(points):
-            return np.ones(gaits, bool)
-        from_start, from_end, from_way = self.tree.distances2(points)
-        touches = from_way < self.radius**2
+            return np.ones(tree.gaits, bool)
+        from_start, from_end, from_way = tree.distances2(points, drift)
         leaves = from_end > from_start
+        if moving:
+            return self._roomiest(tree, from_end, from_way, leaves)
+        touches = from_way < self.radius**2
         for depth, margin in self.levels:
             close = from_way < (self.radius + margin) ** 2
             leaving = leaves & (from_start < (self.radius + margin) ** 2)
-            turning = self.tree.in_place & (from_way > (self.radius + margin / 2) ** 2)
+            turning = tree.in_place & (from_way > (self.radius + margin / 2) ** 2)
             hits = touches | (close & ~leaving & ~turning)
-            safe = self.tree.first_gaits(~np.any(hits, axis=0), depth)
+            safe = tree.first_gaits(~np.any(hits, axis=0), depth)
             if safe.any():
                 return safe
-        clearance = from_way[:, :gaits].min(0)
+        clearance = from_way[:, : tree.gaits].min(0)
         return clearance == clearance.max()
+
+    def _roomiest(
+        self, tree: MotionTree, from_end: np.ndarray, from_way: np.ndarray, leaves: np.ndarray
+    ) -> np.ndarray:
+        """Return (K,) which gaits begin a sequence that keeps the largest margin that any keeps.
+
+        The disc or ball is larger than the body: to be a little too close need not be a hit.
+        """
+        touches = from_way < self.radius**2
+        room2 = np.where(leaves & ~touches, from_end, from_way).min(0)
+        room = tree.best_room(np.sqrt(np.maximum(room2, 0)) - self.radius)
+        for _, margin in self.levels:
+            if (safe := room >= margin).any():
+                return safe
+        return room >= room.max() - 1e-6

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -91,25 +92,66 @@ def segment_distance(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> n
     return np.sqrt(np.einsum("...d,...d->...", gap, gap))
 
 
+class Sight(NamedTuple):
+    """What n robots see and know.
+
+    Attributes:
+        laser: (n, readings) of the sensor, m.
+        target: (n, d) in the robots' frames, m.
+        before: (n,) the gait of the cycle before, the surrogate's `rest` at the start.
+        drift: (n, p, d) how far the reading's points move in a cycle, in the robots' frames, m: as a
+            tracker knows it, that is of what was seen before, too. None: nothing moves in these scenes.
+    """
+
+    laser: np.ndarray
+    target: np.ndarray
+    before: np.ndarray
+    drift: np.ndarray | None
+
+    def of(self, robots: Any) -> Sight:
+        """Return what some of the robots see."""
+        drift = None if self.drift is None else self.drift[robots]
+        return Sight(self.laser[robots], self.target[robots], self.before[robots], drift)
+
+    def replaced(self, robots: np.ndarray, others: Sight) -> Sight:
+        """Return a copy in which some robots see something else."""
+        copy = Sight(self.laser.copy(), self.target.copy(), self.before.copy(), None)
+        for part, new in zip(copy[:3], others[:3], strict=True):
+            part[robots] = new
+        if self.drift is None or others.drift is None:
+            return copy
+        drift = self.drift.copy()
+        drift[robots] = others.drift
+        return copy._replace(drift=drift)
+
+
 @dataclass(frozen=True)
 class Transition:
     """What one cycle of all n robots did.
 
     Attributes:
-        laser, target: (n, beams) m and (n, d) m: the new observation, after any reset.
-        final_laser, final_target: the same before any reset: what the cycle led to.
+        sight: the new observation, after any reset.
+        final: the same before any reset: what the cycle led to.
         progress: (n,) distance to the target that the cycle gained, m.
         reward: (n,) Eq. 2.
         outcome: (n,) RUNNING, SUCCESS, COLLISION or TIMEOUT (`planning.outcome`).
     """
 
-    laser: np.ndarray
-    target: np.ndarray
-    final_laser: np.ndarray
-    final_target: np.ndarray
+    sight: Sight
+    final: Sight
     progress: np.ndarray
     reward: np.ndarray
     outcome: np.ndarray
+
+    @property
+    def laser(self) -> np.ndarray:
+        """Of `sight`."""
+        return self.sight.laser
+
+    @property
+    def target(self) -> np.ndarray:
+        """Of `sight`."""
+        return self.sight.target
 
 
 class SurrogateEnv:
@@ -148,10 +190,13 @@ class SurrogateEnv:
         self.generator = np.random.default_rng(0) if generator is None else generator
         self.noise = noise
         d = navigation.dimension
-        rotations, translations = surrogate.motions(navigation.space)
+        rotations, translations = surrogate.switched_motions(navigation.space)
         self.motions = Motions(rotations.astype(np.float32), translations.astype(np.float32))
-        self.rotation_noise = np.float32(noise) * surrogate.rotation_sd.astype(np.float32)
-        self.translation_noise = np.float32(noise) * surrogate.translation_sd.astype(np.float32)
+        turn, way = (sd.astype(np.float32) for sd in surrogate.scatter())
+        self.rotation_noise, self.translation_noise = (
+            np.float32(noise) * turn,
+            np.float32(noise) * way,
+        )
         self.sensor = sensor_of(navigation)
         self.seconds = np.float32(surrogate.cycle_seconds)
         self.bank_frames = attitude_frames(batch.orientations, d).astype(np.float32)
@@ -165,29 +210,55 @@ class SurrogateEnv:
         self.centres = np.zeros((self.n, most, d), np.float32)
         self.radii = np.zeros((self.n, most), np.float32)
         self.velocities = np.zeros((self.n, most, d), np.float32)
+        self.before = np.zeros(self.n, np.int64)
+        self.moving = bool(np.any(self.bank_velocities))
+        self.known = np.zeros((self.n, most), bool)  # balls that were seen before
+        self.visible = np.zeros((self.n, most), bool)
         self.cycles = np.zeros(self.n, np.int64)
         self.scene = np.zeros(self.n, np.int64)
         self.reset()
 
-    def reset(self) -> tuple[np.ndarray, np.ndarray]:
-        """Start a new episode for every robot; return the (n, beams) laser and (n, d) target."""
+    def reset(self) -> Sight:
+        """Start a new episode for every robot; return what they see."""
         everyone = np.arange(self.n)
         self._enter(everyone, self._pick(self.n) if self.endless else everyone)
         return self.observe()
 
-    def observe(self, robots: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-        """Return the laser distances (n, beams) and the target in the robots' frames (n, d), m."""
+    def observe(self, robots: np.ndarray | slice = slice(None)) -> Sight:
+        """Return what robots see now."""
         position, frames = self.position[robots], self.frames[robots]
         view = BallView(position, frames, self.centres[robots], self.radii[robots])
-        return self.sensor.measure(view, self.navigation), np.einsum(
-            "nij,ni->nj", frames, self.goal[robots] - position
-        )
+        laser = self.sensor.measure(view, self.navigation)
+        target = np.einsum("nij,ni->nj", frames, self.goal[robots] - position)
+        return Sight(laser, target, self.before[robots], self._drift(robots, view, laser))
+
+    def _drift(
+        self, robots: np.ndarray | slice, view: BallView, laser: np.ndarray
+    ) -> np.ndarray | None:
+        """Return `Sight.drift`; take note of the balls that are seen: those next to a point."""
+        if not self.moving:
+            return None
+        points, there = self.sensor.points(laser, self.navigation)
+        centres, radii = view.obstacles()
+        robot, point = np.nonzero(there)
+        offset = points[robot, point][:, None] - centres[robot]
+        gap = np.abs(np.sqrt(np.einsum("imd,imd->im", offset, offset)) - radii[robot])
+        ball = np.where(radii[robot] > 0, gap, np.inf).argmin(1)
+        visible = np.zeros(radii.shape, bool)
+        visible[robot, ball] = True
+        self.visible[robots] = visible
+        velocity = np.where(self.known[robots][..., None], self.velocities[robots], 0)
+        out = np.zeros_like(points)
+        out[robot, point] = (velocity @ view.frames)[robot, ball] * self.seconds
+        return out
 
     def step(self, actions: np.ndarray) -> Transition:
         """Move every robot by one cycle of its gait `actions` (n,)."""
-        motions = self.motions.of(actions)
+        switch = (self.before, np.asarray(actions))
+        motions = self.motions.of(switch)
         if self.noise:
-            motions = self._scatter(motions, actions)
+            motions = self._scatter(motions, switch)
+        self.before = switch[1].copy()
         start = self.position
         end, frames = motions.after(start, self.frames)
         drift = self.velocities * self.seconds
@@ -199,23 +270,20 @@ class SurrogateEnv:
         reached = after < self.batch.goal_radius**2
         self.position, self.frames = end, renewed(frames)
         self.centres = self.centres + drift
+        self.known |= self.visible
         self.cycles += 1
         outcome = np.full(self.n, RUNNING)
         outcome[self.cycles >= self.batch.max_cycles] = TIMEOUT
         outcome[reached] = SUCCESS
         outcome[collision] = COLLISION
-        final_laser, final_target = self.observe()
-        laser, target = final_laser, final_target
+        final = sight = self.observe()
         ended = np.flatnonzero(outcome != RUNNING)
         if self.endless and len(ended):
             self._enter(ended, self._pick(len(ended)))
-            laser, target = final_laser.copy(), final_target.copy()
-            laser[ended], target[ended] = self.observe(ended)
+            sight = final.replaced(ended, self.observe(ended))
         return Transition(
-            laser=laser,
-            target=target,
-            final_laser=final_laser,
-            final_target=final_target,
+            sight=sight,
+            final=final,
             progress=np.sqrt(before) - np.sqrt(after),
             reward=before - after - COLLISION_PENALTY * collision,
             outcome=outcome,
@@ -233,14 +301,16 @@ class SurrogateEnv:
         self.centres[robots] = self.bank_centres[scenes]
         self.radii[robots] = self.bank_radii[scenes]
         self.velocities[robots] = self.bank_velocities[scenes]
+        self.before[robots] = self.surrogate.rest
+        self.known[robots] = False
         self.cycles[robots] = 0
 
-    def _scatter(self, motions: Motions, actions: np.ndarray) -> Motions:
+    def _scatter(self, motions: Motions, switch: tuple[np.ndarray, np.ndarray]) -> Motions:
         """Return the motions with normal noise on each part of the translation and of the turn."""
         d = motions.translations.shape[1]
         noise = self.generator.standard_normal((self.n, d + angles(d)), np.float32)
-        noise[:, :d] *= self.translation_noise[actions, None]
-        noise[:, d:] *= self.rotation_noise[actions, None]
+        noise[:, :d] *= self.translation_noise[switch][:, None]
+        noise[:, d:] *= self.rotation_noise[switch][:, None]
         return Motions(motions.rotations @ turns(noise[:, d:]), motions.translations + noise[:, :d])
 
 
@@ -280,14 +350,19 @@ def run_on_surrogate(
     With `noise`, the cycles scatter (see `SurrogateEnv`), drawn from `generator`.
     """
     env = SurrogateEnv(surrogate, navigation, batch, generator=generator, noise=noise)
+    return run_all(env, lambda sight, robots: act(sight.laser, sight.target, robots))
+
+
+def run_all(env: SurrogateEnv, act: Callable[[Sight, np.ndarray], np.ndarray]) -> SurrogateRuns:
+    """Run every robot of a fresh environment to its end; act(sight (a), robots (a,)) returns gaits (a,)."""
     outcome, reward = np.full(env.n, RUNNING), np.zeros(env.n)
     cycles, gaits = np.zeros(env.n, np.int64), np.zeros(env.n, np.int64)
-    laser, target = env.observe()
+    sight = env.observe()
     while (running := np.flatnonzero(outcome == RUNNING)).size:
-        gaits[running] = act(laser[running], target[running], running)
+        gaits[running] = act(sight.of(running), running)
         step = env.step(gaits)
         reward[running] += step.reward[running]
         cycles[running] += 1
         outcome[running] = step.outcome[running]
-        laser, target = step.laser, step.target
+        sight = step.sight
     return SurrogateRuns(outcome, cycles, reward)

@@ -19,7 +19,7 @@ from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.outcome import SUCCESS, TIMEOUT
 from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes
 from defplan_mj.planning.surrogate import Surrogate
-from defplan_mj.planning.surrogate_env import run_on_surrogate
+from defplan_mj.planning.surrogate_env import SurrogateEnv, run_all
 from defplan_mj.task import Navigation
 from defplan_solvers.dql.training import Recipe, train
 
@@ -52,13 +52,11 @@ def ablate(
     # The unseen scenes of `seed` itself are in the training curves: these are others.
     novel = SceneBatch.of(novel_scenes(navigation, NOVEL, seed + 500))
     runs = [
-        run_on_surrogate(
-            surrogate,
-            navigation,
-            batch,
-            lambda laser, target, _: network(senses(laser, target)).argmax(1),
-            np.random.default_rng(seed),
-            recipe.noise,
+        run_all(
+            SurrogateEnv(
+                surrogate, navigation, batch, None, np.random.default_rng(seed), recipe.noise
+            ),
+            lambda sight, _: network(senses(*sight)).argmax(1),
         )
         for batch in (SceneBatch.of(k2_scenes(navigation, seed)), novel)
     ]

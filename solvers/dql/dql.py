@@ -17,6 +17,7 @@ from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.planning.tracking import Tracker
 from defplan_mj.task import Navigation
 from defplan_solvers.policy_files import load_policy, save_policy
 from defplan_solvers.search.loops import LoopBreaker
@@ -59,15 +60,23 @@ class DqlPlanner:
         self.task_names, self.navigation = surrogate.task_names, navigation
         self.senses = Senses(surrogate, navigation)
         self.loops = LoopBreaker(surrogate, navigation)
+        self.tracker = Tracker(surrogate, navigation)
 
     def reset(self) -> None:
         """Forget the episode."""
         self.loops.reset()
+        self.tracker.reset()
 
     def values(self, observation: Observation) -> np.ndarray:
         """Return the (K,) Q values, lowered where they would lead round in circles."""
         laser, target = observation["laser"], observation["target"][: self.navigation.dimension]
-        return self.loops.adjust(self.network(self.senses(laser, target)), target, observation)
+        drift = observation.get("drift")  # the shield's tracker has seen the same
+        if drift is None:
+            drift = self.tracker.update(laser, target).drift_of_all
+        inputs = self.senses(laser, target, self.loops.odometry.gait, drift)
+        values = self.loops.adjust(self.network(inputs), target, observation)
+        self.tracker.chose(self.loops.odometry.gait)
+        return values
 
 
 class DqlSolver:

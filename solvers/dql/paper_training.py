@@ -217,7 +217,7 @@ def learn(
         share = (iteration - 1) / configuration.iterations
         explore = configuration.explore_first * (1 - share) + configuration.explore_last * share
         env = SurrogateEnv(surrogate, navigation, scenes)
-        seen = network.see(*env.observe())
+        seen = network.see(*env.observe()[:2])
         for _ in range(configuration.cycles):
             with torch.no_grad():
                 best = q(seen).argmax(1).numpy()

@@ -22,9 +22,9 @@ from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS, TIMEOUT
 from defplan_mj.planning.scenes import (
     SceneBatch,
     k2_scenes,
-    novel_scenes,
     training_scenes,
     validation_scenes,
+    validation_targets,
 )
 from defplan_mj.planning.shield import LEVELS
 from defplan_mj.planning.surrogate import Surrogate
@@ -32,7 +32,7 @@ from defplan_mj.planning.surrogate_env import (
     SurrogateEnv,
     SurrogateRuns,
     Transition,
-    run_on_surrogate,
+    run_all,
 )
 from defplan_mj.task import Navigation
 from defplan_solvers.dql.dql import QNetwork
@@ -46,6 +46,7 @@ class Recipe:
         transitions: the budget.
         robots: environments stepped at once.
         scenes: size of the bank of training scenes.
+        fastest: speed of obstacles in half of these, at most, m/s.
         noise: scatter of the cycles, in units of the surrogate's standard deviations.
         margin: what the disc is larger in training than the surrogate's, m. It is the shield's: where
             the planner wants to pass and the shield does not let it, the robot would be stuck.
@@ -61,12 +62,14 @@ class Recipe:
         k2_only: trains on the K2 scenes, as the paper does, not on the bank.
         averaging: decay of the averaged network, a step.
         checkpoints: evaluations during training.
-        validation: held-out scenes that, with the training targets', choose the network.
+        targets, standing, moving: held-out scenes that choose the network, no evaluation's: at training
+            targets, with other obstacles, and of the unseen kind, with obstacles that stand and that move.
     """
 
     transitions: int = 300_000
     robots: int = 64
     scenes: int = 10_000
+    fastest: float = 2.0
     noise: float = 1.0
     margin: float = LEVELS[0][1]
     hidden: tuple[int, ...] = (64, 64, 64)
@@ -85,9 +88,10 @@ class Recipe:
     cycle: float = 0.05
     k2_only: bool = False
     averaging: float = 0.999
-    checkpoints: int = 15
-    validation: int = 200
-    novel: int = 100
+    checkpoints: int = 10
+    targets: int = 50
+    standing: int = 100
+    moving: int = 100
 
 
 def train(
@@ -159,7 +163,7 @@ class _Robots(VecEnv):
         if recipe.k2_only:
             bank = SceneBatch.of(k2_scenes(navigation, seed))
         else:
-            bank = training_scenes(navigation, recipe.scenes, seed)
+            bank = training_scenes(navigation, recipe.scenes, seed, recipe.fastest)
         generator = np.random.default_rng(seed)
         wary = replace(surrogate, radius=surrogate.radius + recipe.margin)
         self.robots = SurrogateEnv(wary, navigation, bank, recipe.robots, generator, recipe.noise)
@@ -183,13 +187,13 @@ class _Robots(VecEnv):
         done = step.outcome != RUNNING
         infos: list[dict] = [{} for _ in range(self.num_envs)]
         ended = np.flatnonzero(done)
-        last = self.senses(step.final_laser[ended], step.final_target[ended])
+        last = self.senses(*step.final.of(ended))
         for robot, observation in zip(ended, last, strict=True):
             infos[robot] = {
                 "terminal_observation": observation,
                 "TimeLimit.truncated": bool(step.outcome[robot] == TIMEOUT),
             }
-        observation = self.senses(step.laser, step.target)
+        observation = self.senses(*step.sight)
         return observation, reward.astype(np.float32), done, infos
 
     def close(self) -> None:
@@ -265,13 +269,18 @@ class _Checkpoints(BaseCallback):
         self.recipe, self.progress = recipe, progress
         self.senses = Senses(surrogate, navigation)
         self.deadline = time.perf_counter() + seconds
-        self.batch = SceneBatch.join(
+        batch = SceneBatch.join(
             [
-                SceneBatch.of(k2_scenes(navigation, seed)),
-                SceneBatch.of(novel_scenes(navigation, recipe.novel, seed)),
-                validation_scenes(navigation, recipe.validation, seed),
+                validation_targets(navigation, recipe.targets, seed),
+                validation_scenes(navigation, recipe.standing, seed),
+                *(
+                    validation_scenes(navigation, recipe.moving // 2, seed + 1 + i, speed)
+                    for i, speed in enumerate(np.array([0.5, 1.0]) * recipe.fastest)
+                ),
             ]
         )
+        # one that arrives does so early: half of the time tells as much
+        self.batch = replace(batch, max_cycles=navigation.max_cycles // 2)
         self.curves: dict[str, list[float]] = {}
         self.best: QNetwork | None = None
         self.best_score = -2.0
@@ -302,15 +311,17 @@ class _Checkpoints(BaseCallback):
         assert isinstance(self.model, DQN)
         runs, score = self._run(network := _network(self.model.q_net))
         _, averaged_score = self._run(averaged := _network(self.averaged))
-        k2 = slice(0, self.navigation.k2)
-        novel = slice(self.navigation.k2, self.navigation.k2 + self.recipe.novel)
+        parts = np.cumsum([self.recipe.targets, self.recipe.standing])
+        k2, standing, moving = np.split(runs.outcome == SUCCESS, parts)
+        reward = runs.reward[: self.recipe.targets]
         row = {
             "transitions": self.num_timesteps,
-            "k2_reward_mean": runs.reward[k2].mean(),
-            "k2_reward_min": runs.reward[k2].min(),
-            "k2_reward_max": runs.reward[k2].max(),
-            "k2_success": (runs.outcome[k2] == SUCCESS).mean(),
-            "novel_success": (runs.outcome[novel] == SUCCESS).mean(),
+            "k2_reward_mean": reward.mean(),
+            "k2_reward_min": reward.min(),
+            "k2_reward_max": reward.max(),
+            "k2_success": k2.mean(),
+            "novel_success": standing.mean(),
+            "moving_success": moving.mean(),
             "validation_score": score,
             "validation_score_averaged": averaged_score,
         }
@@ -321,19 +332,17 @@ class _Checkpoints(BaseCallback):
                 self.best, self.best_score = candidate, result
 
     def _run(self, network: QNetwork) -> tuple[SurrogateRuns, float]:
-        runs = run_on_surrogate(
-            self.surrogate,
-            self.navigation,
-            self.batch,
-            lambda laser, target, _: network(self.senses(laser, target)).argmax(1),
-            np.random.default_rng(self.seed),
-            self.recipe.noise,
+        generator = np.random.default_rng(self.seed)
+        env = SurrogateEnv(
+            self.surrogate, self.navigation, self.batch, None, generator, self.recipe.noise
         )
-        held_out = runs.outcome[-self.recipe.validation :]
-        success, timeout = (held_out == SUCCESS).mean(), (held_out == TIMEOUT).mean()
-        trained_for = (runs.outcome[: self.navigation.k2] == SUCCESS).mean()
+        runs = run_all(env, lambda sight, _: network(self.senses(*sight)).argmax(1))
+        targets, others = np.split(runs.outcome, [self.recipe.targets])
         # the shield mends collisions, but no time-outs
-        return runs, float(success - timeout + trained_for)
+        score = (
+            (others == SUCCESS).mean() - (others == TIMEOUT).mean() + (targets == SUCCESS).mean()
+        )
+        return runs, float(score)
 
 
 def _network(q_net: Any) -> QNetwork:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -31,10 +32,10 @@ class AstarPlanner:
     """Replans at every cycle; memory makes up for what the laser no longer sees."""
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
-        self.motions = surrogate.motions(navigation.space)
         self.radius, self.dimension = surrogate.radius, navigation.dimension
-        self.outlook = Outlook(self.motions, navigation.goal_radius)
-        self.steps = Manoeuvres(self.motions, self.outlook.axes[0])
+        self.outlook = Outlook(surrogate.motions(navigation.space), navigation.goal_radius)
+        motions, heading = surrogate.switched_motions(navigation.space), self.outlook.axes[0]
+        self.steps = [Manoeuvres(motions, heading, i) for i in range(surrogate.rest + 1)]
         self.map = LaserMap(surrogate, navigation)
         self.shield = Shield(self, surrogate, navigation)  # its rule, for when there is no plan
 
@@ -49,7 +50,8 @@ class AstarPlanner:
         values = -self.outlook.after_each(target)
         gait = self._plan(points, target)
         if gait is None:
-            values = np.where(self.shield.safe(points), values, values - np.ptp(values) - 1)
+            safe = self.shield.safe(points, before=self.map.odometry.gait)
+            values = np.where(safe, values, values - np.ptp(values) - 1)
         else:
             values[gait] = values.max() + 1
         self.map.chose(carried_out(values, observation))
@@ -58,7 +60,8 @@ class AstarPlanner:
     def _plan(self, points: np.ndarray, target: np.ndarray) -> int | None:
         for margin in MARGINS:
             clearance = self.radius + margin
-            gait = search(self.outlook, self.steps, points, clearance, self.radius, target)
+            before = self.map.odometry.gait
+            gait = search(self.outlook, self.steps, points, clearance, self.radius, target, before)
             if gait is not None:
                 return gait
         return None
@@ -66,31 +69,36 @@ class AstarPlanner:
 
 def search(
     outlook: Outlook,
-    steps: Manoeuvres,
+    steps: Sequence[Manoeuvres],
     points: np.ndarray,
     clearance: float,
     least: float,
     target: np.ndarray,
+    before: int = -1,
     horizon: float = HORIZON,
 ) -> int | None:
     """Return the first gait of a short way to the target, or None if there is none.
 
     Args:
         outlook: estimates what is left.
-        steps: of the search.
+        steps: of the search, after each gait, and last those from rest.
         points: (p, d) what to keep away from, m, in the robot's frame.
         clearance: that cycles keep, m; where there is less already, cycles may gain some, or
             turn the robot in its place.
         least: clearance that cycles keep in any case, m.
         target: (d,) m, in the robot's frame.
+        before: the gait of the cycle before; -1: the robot is at rest.
         horizon: a way that gets this far is good enough, m.
     """
-    d, room = len(target), NODES + AT_ONCE * len(steps.first)
+    d, room = len(target), NODES + AT_ONCE * max(len(after.first) for after in steps)
     position, frames = np.zeros((room, d)), np.zeros((room, d, d))
     first, cycles, near = np.full(room, -1), np.zeros(room), np.zeros(room, bool)
+    last = np.full(room, before % len(steps))
     keys = np.zeros((room, 2 * d), np.int16)
     frames[0], made = np.eye(d), 1
-    alike = max(HEADING, steps.span)  # headings that one manoeuvre reaches anyway count as one
+    alike = max(
+        HEADING, max(after.span for after in steps)
+    )  # headings that one manoeuvre reaches anyway count as one
     heap = [(0.0, 0)]  # of estimates and nodes
     closed: set[bytes] = set()
     nearest, fallback = np.inf, -1
@@ -103,25 +111,27 @@ def search(
             if (key := keys[node].tobytes()) not in closed:
                 closed.add(key)
                 chosen.append(node)
-        start, turned = position[chosen], frames[chosen]
-        parent, step = np.nonzero(_free(steps, points, start, turned, clearance, least))
-        if not len(step):
-            continue
-        new = slice(made, made + len(step))
-        made = new.stop
-        end, facing = steps.motions.of(step).after(start[parent], turned[parent])
-        position[new], frames[new] = end, facing
-        cycles[new] = spent = cycles[chosen][parent] + steps.cycles[step]
-        begun = first[chosen][parent]
-        first[new] = begun = np.where(begun < 0, steps.first[step], begun)
-        rest = outlook.cycles(np.einsum("nij,ni->nj", facing, target - end))
-        near[new] = (rest == 0) | (np.einsum("nd,nd->n", end, end) > horizon**2)
-        keys[new, :d] = np.floor(end / CELL)
-        keys[new, d:] = np.round(facing @ outlook.axes[0] / alike)
-        if rest.min() < nearest:
-            nearest, fallback = rest.min(), int(begun[rest.argmin()])
-        for entry in zip((spent + WEIGHT * rest).tolist(), range(new.start, made), strict=True):
-            heapq.heappush(heap, entry)
+        for gait in {int(last[node]) for node in chosen}:
+            nodes, after = np.array([n for n in chosen if last[n] == gait]), steps[gait]
+            start, turned = position[nodes], frames[nodes]
+            parent, step = np.nonzero(_free(after, points, start, turned, clearance, least))
+            if not len(step):
+                continue
+            new = slice(made, made + len(step))
+            made = new.stop
+            end, facing = after.motions.of(step).after(start[parent], turned[parent])
+            position[new], frames[new], last[new] = end, facing, after.final[step]
+            cycles[new] = spent = cycles[nodes][parent] + after.cycles[step]
+            begun = first[nodes][parent]
+            first[new] = begun = np.where(begun < 0, after.first[step], begun)
+            rest = outlook.cycles(np.einsum("nij,ni->nj", facing, target - end))
+            near[new] = (rest == 0) | (np.einsum("nd,nd->n", end, end) > horizon**2)
+            keys[new, :d] = np.floor(end / CELL)
+            keys[new, d:] = np.round(facing @ outlook.axes[0] / alike)
+            if rest.min() < nearest:
+                nearest, fallback = rest.min(), int(begun[rest.argmin()])
+            for entry in zip((spent + WEIGHT * rest).tolist(), range(new.start, made), strict=True):
+                heapq.heappush(heap, entry)
     return None if fallback < 0 else fallback
 
 

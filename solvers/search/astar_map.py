@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from defplan_mj.planning.planner import Observation
+from defplan_mj.planning.planner import Observation, carried_out
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
@@ -25,14 +25,17 @@ class AstarMapPlanner:
     needs_obstacles = True
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
-        motions = surrogate.motions(navigation.space)
         self.radius, self.dimension = surrogate.radius, navigation.dimension
-        self.outlook = Outlook(motions, navigation.goal_radius)
-        self.steps = Manoeuvres(motions, self.outlook.axes[0])
+        self.outlook = Outlook(surrogate.motions(navigation.space), navigation.goal_radius)
+        motions, heading = surrogate.switched_motions(navigation.space), self.outlook.axes[0]
+        self.steps = [Manoeuvres(motions, heading, i) for i in range(surrogate.rest + 1)]
         self.shield = Shield(self, surrogate, navigation)  # its rule, for when there is no plan
 
+        self.reset()
+
     def reset(self) -> None:
-        """Do nothing: the planner has no memory."""
+        """Forget the gait of the last cycle: the robot is at rest."""
+        self.before = -1
 
     def values(self, observation: Observation) -> np.ndarray:
         """Return (K,) minus the cycles that are left after each gait, the plan's gait first."""
@@ -42,11 +45,16 @@ class AstarMapPlanner:
         values = -self.outlook.after_each(target)
         for margin in MARGINS:
             clearance = self.radius + margin
-            gait = search(self.outlook, self.steps, points, clearance, self.radius, target, HORIZON)
+            known = points, clearance, self.radius, target
+            gait = search(self.outlook, self.steps, *known, before=self.before, horizon=HORIZON)
             if gait is not None:
                 values[gait] = values.max() + 1
-                return values
-        return np.where(self.shield.safe(points), values, values - np.ptp(values) - 1)
+                break
+        else:
+            safe = self.shield.safe(points, before=self.before)
+            values = np.where(safe, values, values - np.ptp(values) - 1)
+        self.before = carried_out(values, observation)
+        return values
 
 
 SOLVER = UntrainedSolver(

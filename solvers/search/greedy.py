@@ -22,7 +22,7 @@ class GreedyPlanner:
         motions = surrogate.motions(navigation.space)
         self.navigation, self.radius = navigation, surrogate.radius
         self.outlook = Outlook(motions, navigation.goal_radius)
-        self.tree = MotionTree(motions, 1)
+        self.tree = MotionTree(motions, (1,))
 
     def reset(self) -> None:
         """Do nothing: the planner has no memory."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from defplan_mj.planning.odometry import Odometry
 from defplan_mj.planning.sensors.laser import laser_of
 from defplan_mj.planning.sensors.sensor import seen_points
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
-from defplan_solvers.search.odometry import Odometry
 
 CELL = 0.25  # a remembered point stands for its neighbours this close, m
 REACH = 15.0  # points farther away are forgotten, m

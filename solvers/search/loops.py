@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from defplan_mj.planning.odometry import Odometry
 from defplan_mj.planning.planner import Observation, carried_out
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
-from defplan_solvers.search.odometry import Odometry
 from defplan_solvers.search.outlook import Outlook
 
 VISIT = 3.0
@@ -35,10 +35,10 @@ class LoopBreaker:
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
         self.odometry = Odometry(surrogate, navigation)
-        motions = surrogate.motions(navigation.space)
-        self.outlook = Outlook(motions, navigation.goal_radius)
-        self.ends, self.heading = motions.translations, self.outlook.axes[0]
-        self.headings = motions.rotations @ self.heading
+        self.outlook = Outlook(surrogate.motions(navigation.space), navigation.goal_radius)
+        self.heading = self.outlook.axes[0]
+        turns, self.ends = surrogate.switched_motions(navigation.space)
+        self.headings = turns @ self.heading
         self.reset()
 
     def reset(self) -> None:
@@ -64,8 +64,9 @@ class LoopBreaker:
             self._headings = self._headings @ turn
         self._places = np.vstack([self._places, np.zeros_like(target)])
         self._headings = np.vstack([self._headings, self.heading])
-        away = np.linalg.norm(self.ends[:, None] - self._places, axis=2) / self.outlook.advance
-        turned = np.arccos(np.clip(self.headings @ self._headings.T, -1, 1))
+        ends, headings = self.ends[self.odometry.gait], self.headings[self.odometry.gait]
+        away = np.linalg.norm(ends[:, None] - self._places, axis=2) / self.outlook.advance
+        turned = np.arccos(np.clip(headings @ self._headings.T, -1, 1))
         apart = away + self.outlook.per_radian * turned
         values = values - VISIT * np.exp(-((apart / SAME) ** 2)).sum(1)
         self.odometry.chose(carried_out(values, observation))

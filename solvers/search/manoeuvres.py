@@ -23,31 +23,36 @@ class Manoeuvres(Ways):
     ends with cycle `last[m]`.
 
     Args:
-        motions: of the gaits.
+        motions: of the gaits, plain or switched.
         heading: (d,) unit vector, the robot's own, whose directions are told apart.
+        before: the gait before the first one; -1: the robot is at rest.
 
     Attributes:
-        first: (M,) the first gait of each manoeuvre.
+        first, final: (M,) the first and the last gait of each manoeuvre.
         cycles: (M,) how many it has.
         motions: of the M manoeuvres: where each leads.
         reach: how far it gets from its start, m.
         span: how far it may turn the heading before it moves, rad.
     """
 
-    def __init__(self, motions: Motions, heading: np.ndarray) -> None:
-        moves = np.linalg.norm(motions.translations, axis=1) >= IN_PLACE
-        d = motions.translations.shape[1]
+    def __init__(self, motions: Motions, heading: np.ndarray, before: int = -1) -> None:
+        motions = motions.switched()
+        d = motions.translations.shape[-1]
         starts, ends, frames, self.levels = [], [], [], []
         parents: list[int] = []
         firsts: list[int] = []
         depths: list[int] = []
+        gaits: list[int] = []
         last: list[int] = []
         known = heading[None]
         roots = [(-1, np.zeros(d), np.eye(d), -1)]  # cycle, place, frame, first gait
+        # one that moves the robot does so whatever was before: the steps stay the same ones
+        moves = np.linalg.norm(motions.translations, axis=2).mean(0) >= IN_PLACE
         for depth in range(1, TURNS + 2):
             level, following = len(parents), []
             for parent, place, frame, begun in roots:
-                places, turns = motions.after(place[None], frame[None])
+                after = motions.of(gaits[parent] if parent >= 0 else before)
+                places, turns = after.after(place[None], frame[None])
                 for gait, (there, turned) in enumerate(zip(places, turns, strict=True)):
                     if not moves[gait]:
                         if depth > TURNS or (known @ (turned @ heading)).max() > np.cos(ALIKE):
@@ -60,6 +65,7 @@ class Manoeuvres(Ways):
                     frames.append(turned)
                     parents.append(parent)
                     firsts.append(first)
+                    gaits.append(gait)
                     depths.append(depth)
                     if not moves[gait]:
                         following.append((index, there, turned, first))
@@ -70,7 +76,8 @@ class Manoeuvres(Ways):
         super().__init__(np.array(starts), np.array(ends))
         self.span = float(np.arccos(np.clip(known @ heading, -1, 1)).max())
         self.last, self.parent = np.array(last), np.array(parents)
-        self.first, self.cycles = np.array(firsts)[last], np.array(depths)[last]
+        self.first, self.final = np.array(firsts)[last], np.array(gaits)[last]
+        self.cycles = np.array(depths)[last]
         self.motions = Motions(np.array(frames)[last], np.array(ends)[last])
         self.reach = float(np.linalg.norm(np.array(ends), axis=1).max())
 

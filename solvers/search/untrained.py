@@ -20,6 +20,7 @@ class UntrainedSolver:
     Attributes:
         name, summary: see the registry.
         make: the planner of a surrogate and a navigation problem.
+        bound: it knows what no robot can know, and others are judged by it (`studies.bound`).
     """
 
     name: str
@@ -27,6 +28,7 @@ class UntrainedSolver:
     make: Callable[[Surrogate, Navigation], Planner]
     kind: str = "planner"
     needs_training: bool = False
+    bound: bool = False
 
     def train(
         self,

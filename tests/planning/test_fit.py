@@ -10,8 +10,9 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.rotations import kabsch
 from defplan_mj.body.rotation_strain import deformation
 from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.gait.gait import Gait
-from defplan_mj.planning.fit import fit_surrogate, pair_moments
+from defplan_mj.planning.fit import Cycles, fit_surrogate, fit_switched, pair_moments
 from defplan_mj.planning.surrogate import Surrogate
 
 
@@ -97,6 +98,47 @@ def test_the_surrogate_holds_every_tasks_motion_and_is_the_same_in_a_rerun(
     first.save(tmp_path / "surrogate.npz")
     loaded = Surrogate.load(tmp_path / "surrogate.npz")
     assert np.array_equal(loaded.rotations, first.rotations) and loaded.radius == first.radius
+
+
+def test_a_motion_for_each_gait_before_is_nearer_to_switching_that_was_held_out(dynamics, gait):
+    surrogate = fit_surrogate(dynamics, gait, pairs=60, seed=0)
+    assert surrogate.switching is not None
+    held_out = surrogate.switching.held_out
+    assert held_out["cycles"] == 36  # every fifth of twenty chains
+    assert held_out["place_m"] < 0.9 * held_out["plain_place_m"]
+    assert held_out["turn_rad"] < 0.9 * held_out["plain_turn_rad"]
+    assert surrogate.plain.switching is None
+
+
+def test_the_first_cycle_from_rest_is_the_one_that_the_dynamics_does(small_fish, dynamics, gait):
+    surrogate = fit_surrogate(dynamics, gait, pairs=12, seed=0)
+    rigid = RigidDynamics(surrogate)
+    for j, shapes in enumerate(gait.table()):
+        truth = dynamics.rollout(dynamics.rest_state(), shapes)[-1]
+        assert np.allclose(rigid.step(dynamics.rest_state(), j)[:3], truth[:3], atol=1e-9)
+
+
+def test_a_file_keeps_the_motions_by_the_gait_before(dynamics, gait, tmp_path):
+    surrogate = fit_surrogate(dynamics, gait, pairs=12, seed=0)
+    surrogate.save(tmp_path / "surrogate.npz")
+    surrogate.plain.save(tmp_path / "plain.npz")
+    loaded, plain = (Surrogate.load(tmp_path / f"{n}.npz") for n in ("surrogate", "plain"))
+    assert loaded.switching is not None and surrogate.switching is not None
+    for name in ("rotations", "translations", "rotation_sd", "translation_sd"):
+        wanted = getattr(surrogate.switching, name)
+        assert np.array_equal(getattr(loaded.switching, name), wanted)
+    assert loaded.switching.held_out == surrogate.switching.held_out and plain.switching is None
+
+
+def test_a_pair_of_gaits_that_never_occurred_has_its_gait_s_plain_motion():
+    turn = np.eye(3)[None] * [1.0, 1.0, 1.0]
+    before, task = np.array([0, 1, 0, 0]), np.array([0, 0, 1, 1])
+    ways = np.array([[1.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0], [5.0, 0, 0]])
+    cycles = Cycles(np.arange(4), before, task, turn.repeat(4, 0), ways)
+    none = cycles.some(np.zeros(4, bool))
+    switched = fit_switched(cycles, none, 2)
+    expected = np.array([[1, 4], [2, 4], [1.5, 4]])
+    assert np.allclose(switched.translations[:, :, 0], expected)
 
 
 def test_table_iii_is_the_spread_of_the_single_pairs(small_fish, dynamics, gait):

@@ -90,7 +90,7 @@ def test_shield_and_network_take_a_plugin_s_sensor(plugin):
     reading = SurrogateEnv(robot, there, SceneBatch.of([_scene("planar")])).observe()[0][0]
     assert seen_points(reading, there) == pytest.approx((reading[:2] * reading[2])[None])
     senses = Senses(robot, there)
-    assert len(senses(reading, np.array([5.0, 0.0]))) == senses.size == 3 + 2 + 3 + 2 * 5
+    assert len(senses(reading, np.array([5.0, 0.0]))) == senses.size == 3 + 1 + 2 + 3 + 6 + 4 * 5
     touching = np.array([1.0, 0.0, 0.6])
     assert not Shield(_Ahead(), robot, there).safe(seen_points(touching, there)).all()
 

@@ -55,7 +55,7 @@ def looking_at(*points):
 def test_the_tree_ends_where_the_rigid_dynamics_ends(navigation, surrogate):
     d, gaits, depth = navigation.dimension, len(surrogate.task_names), 3
     tree, dynamics = (
-        MotionTree(surrogate.motions(navigation.space), depth),
+        MotionTree(surrogate.motions(navigation.space), (1,) * depth),
         RigidDynamics(surrogate),
     )
     last = gaits + gaits**2
@@ -71,7 +71,7 @@ def test_the_tree_ends_where_the_rigid_dynamics_ends(navigation, surrogate):
 
 @BOTH
 def test_distances_to_the_tree_agree_with_the_way_sampled_finely(navigation, surrogate):
-    tree = MotionTree(surrogate.motions(navigation.space), 3)
+    tree = MotionTree(surrogate.motions(navigation.space), (1, 1, 1))
     points = np.random.default_rng(0).uniform(-3, 3, (30, navigation.dimension))
     start, end, way = tree.distances2(points)
     share = np.linspace(0, 1, 2001)[:, None, None]
@@ -101,7 +101,7 @@ def test_a_turned_world_leaves_the_shields_choice_as_it_is():
 
 
 def test_a_first_gait_counts_only_if_a_whole_sequence_is_free():
-    tree = MotionTree(samples.surrogate().motions("planar"), 2)
+    tree = MotionTree(samples.surrogate().motions("planar"), (1, 1))
     free = np.zeros(12, bool)
     free[[0, 1, 3 + 4]] = True  # gaits 0 and 1 first; after them only the sequence 1, 1
     assert list(tree.first_gaits(free)) == [False, True, False]
@@ -184,16 +184,17 @@ def test_the_shield_keeps_a_blind_planner_from_colliding(navigation, surrogate):
     attitudes = np.array([rotation.as_quat(scalar_first=True) for rotation in facing])
     scenes = replace(batch, orientations=attitudes)
     straight = surrogate.task_names.index("forward")
+    values = [float(i == straight) - 0.1 * i for i in range(len(surrogate.task_names))]
+    pilots: list[Planner] = [Stubborn(*values) for _ in range(len(scenes))]
+    shields: list[Planner] = [Shield(pilot, surrogate, navigation) for pilot in pilots]
     rates = {}
-    for shielded in (False, True):
-        pilot: Planner = Stubborn(
-            *(float(i == straight) - 0.1 * i for i in range(len(surrogate.task_names)))
-        )
-        if shielded:
-            pilot = Shield(pilot, surrogate, navigation)
+    for shielded, robot in ((False, pilots), (True, shields)):
 
-        def act(laser, target, robots, pilot=pilot):
-            return np.array([pilot.values({"laser": one}).argmax() for one in laser])
+        def act(laser, target, robots, robot=robot):
+            seen = zip(robots, laser, target, strict=True)
+            return np.array(
+                [robot[i].values({"laser": a, "target": b}).argmax() for i, a, b in seen]
+            )
 
         rates[shielded] = run_on_surrogate(surrogate, navigation, scenes, act).rate(COLLISION)
     assert rates[False] > 0.6 and rates[True] <= 0.05
@@ -203,3 +204,39 @@ def test_a_new_episode_resets_the_wrapped_planner():
     pilot = Stubborn(0, 0, 0)
     Shield(pilot, samples.surrogate(), NAVIGATION).reset()
     assert pilot.resets == 1
+
+
+def test_an_obstacle_that_comes_nearer_is_unsafe_before_it_is_near():
+    shield = Shield(Stubborn(3, 1, 2), samples.surrogate(), NAVIGATION)
+    ahead = np.array([[5.0, y] for y in np.linspace(-1.0, 1.0, 9)])
+    assert shield.safe(ahead).all()
+    coming = np.tile([-0.9, 0.0], (9, 1))
+    assert list(shield.safe(ahead, coming)) == [False, True, True]  # it has to turn at once
+    assert shield.safe(ahead, -coming).all()
+
+
+def test_distances_to_moving_points_agree_with_the_way_sampled_finely():
+    tree = MotionTree(samples.surrogate().motions("planar"), (1, 2))
+    generator = np.random.default_rng(3)
+    points, drift = generator.uniform(-3, 3, (12, 2)), generator.uniform(-1, 1, (12, 2))
+    _, _, way = tree.distances2(points, drift)
+    share = np.linspace(0, 1, 2001)[:, None, None]
+    robot = tree.start + share * (tree.end - tree.start)
+    when = tree.begun[:, None] + share
+    for i in range(len(points)):
+        distance = np.linalg.norm(robot - (points[i] + when * drift[i]), axis=2)
+        assert np.allclose(np.sqrt(way[i]), distance.min(0), atol=2e-3)
+
+
+def test_a_choice_that_is_kept_for_some_cycles_is_their_rollout():
+    surrogate = samples.surrogate()
+    tree, dynamics = MotionTree(surrogate.motions("planar"), (2, 3)), RigidDynamics(surrogate)
+    for branch, (one, two) in enumerate(itertools.product(range(3), repeat=2)):
+        pose = dynamics.rollout(dynamics.rest_state(), np.array([one] * 2 + [two] * 3))
+        assert np.allclose(tree.end[-9 + branch], pose[-1, :2], atol=1e-5)
+    room = np.arange(3 * 2 + 9 * 3, dtype=float)
+    best = [
+        max(min(room[[k, 3 + k, *(6 + 3 * k + j + 9 * i for i in range(3))]]) for j in range(3))
+        for k in range(3)
+    ]
+    assert list(tree.best_room(room)) == best

@@ -189,11 +189,11 @@ def test_a_collision_costs_1000_and_a_time_out_ends_the_episode():
 
 def test_the_target_is_seen_from_the_body():
     scene = samples.scene(target=(0.0, 5.0), yaw=np.pi / 2)
-    _, target = SurrogateEnv(samples.surrogate(), NAVIGATION, samples.batch(scene)).observe()
+    target = SurrogateEnv(samples.surrogate(), NAVIGATION, samples.batch(scene)).observe().target
     assert np.allclose(target, [[5, 0]], atol=1e-5)
     pitched = Rotation.from_euler("y", 90, degrees=True).as_quat(scalar_first=True)
     scene = samples.spheres(target=(5.0, 0.0, 2.0), orientation=pitched)  # its z is the world's x
-    _, target = SurrogateEnv(samples.swimmer(), SPATIAL, samples.batch(scene)).observe()
+    target = SurrogateEnv(samples.swimmer(), SPATIAL, samples.batch(scene)).observe().target
     assert np.allclose(target, [[-2, 0, 5]], atol=1e-5)
 
 
@@ -214,7 +214,7 @@ def test_endless_robots_start_anew_and_report_where_the_episode_ended(navigation
         step = env.step(np.full(30, gait))
         done = step.outcome != RUNNING
         ended += done.sum()
-        assert np.array_equal(step.laser[~done], step.final_laser[~done])
+        assert np.array_equal(step.laser[~done], step.final.laser[~done])
         assert np.all(env.cycles[done] == 0) and np.all(env.position[done] == 0)
         assert np.allclose(
             np.linalg.norm(step.target[done], axis=1),

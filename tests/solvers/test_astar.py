@@ -178,7 +178,7 @@ def test_the_map_keeps_points_where_they_are_though_the_robot_never_knows_how_it
         surrogate, navigation, samples.batch(scene), generator=np.random.default_rng(1), noise=1.0
     )
     memory = LaserMap(surrogate, navigation)
-    laser, target = env.observe()
+    laser, target, *_ = env.observe()
     for gait in gaits:
         points = memory.update(laser[0], target[0])
         memory.chose(gait)

@@ -16,7 +16,7 @@ from defplan_mj.planning.surrogate_env import run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.dql.ablations import CHANGES, ablate
 from defplan_solvers.dql.dql import SOLVER, DqlPlanner, QNetwork
-from defplan_solvers.dql.training import Recipe, _reward, _Robots, train
+from defplan_solvers.dql.training import Recipe, _Checkpoints, _reward, _Robots, train
 from tests.samples import planning as samples
 
 NAVIGATION = Navigation()
@@ -28,8 +28,9 @@ SMALL = Recipe(
     batch=32,
     buffer=4000,
     checkpoints=2,
-    validation=10,
-    novel=5,
+    targets=5,
+    standing=6,
+    moving=4,
 )
 
 
@@ -37,7 +38,7 @@ def silent(message, fraction):
     pass
 
 
-def random_network(seed=0, inputs=75):
+def random_network(seed=0, inputs=149):
     generator = np.random.default_rng(seed)
     sizes = [inputs, 8, 8, 3]
     return QNetwork(
@@ -64,7 +65,7 @@ def test_the_network_in_numpy_is_the_one_in_torch():
         linear = torch.nn.Linear(*weight.shape[::-1])
         linear.load_state_dict({"weight": torch.tensor(weight), "bias": torch.tensor(bias)})
         layers += [linear, torch.nn.Softplus()]
-    inputs = np.random.default_rng(1).normal(size=(20, 75)).astype(np.float32)
+    inputs = np.random.default_rng(1).normal(size=(20, 149)).astype(np.float32)
     with torch.no_grad():
         expected = torch.nn.Sequential(*layers[:-1])(torch.from_numpy(inputs)).numpy()
     assert np.allclose(network(inputs), expected, rtol=1e-5, atol=1e-5)
@@ -76,10 +77,24 @@ def test_features_tell_near_and_far_targets_sides_and_the_room_of_gaits_apart():
     row = senses(laser, np.array([3.0, -4.0]))
     sideways = np.hypot(1.0, 0.0) - 0.9  # the start of a cycle is the nearest to what is behind
     room = np.array([0.1, 1.0 - 0.4 - 0.9, sideways, sideways])
-    expected = [0.86, 0, 0.9, 0, 0.6, -0.8, np.log(6) / 3, 0.25, np.exp(-2.5)]
-    expected = [*expected, *np.tanh(room / 0.2), *np.exp(-room)]
-    assert row.dtype == np.float32 and len(row) == senses.size
-    assert np.allclose(row, expected, atol=1e-6)
+    expected = [0.86, 0, 0.9, 0, *4 * [0], 0.6, -0.8, np.log(6) / 3, 0.25, np.exp(-2.5)]
+    expected = [*expected, 0, 0, 0, 0, 1, *np.tanh(room / 0.2), *np.exp(-np.maximum(room, -0.5))]
+    assert row.dtype == np.float32 and len(row) == senses.size == len(expected) + 8
+    assert np.allclose(row[:-8], expected, atol=1e-5)
+    assert np.all(row[-8:-4] <= row[-16:-12])  # a sequence has no more room than its first cycle
+
+
+def test_features_tell_what_comes_nearer_and_that_it_will_hit():
+    senses, target = Senses(samples.surrogate(), NAVIGATION), np.array([8.0, 0.0])
+    laser, drift = np.full(64, 10.0), np.zeros((64, 2))
+    ahead = np.arange(-3, 4)
+    laser[ahead] = 4.0
+    standing = senses(laser, target, 0, drift)
+    drift[ahead] = [-0.88, 0]  # 2 m/s in cycles of 0.44 s
+    coming = senses(laser, target, 0, drift)
+    assert not standing[64:128].any() and coming[64] == pytest.approx(1)
+    assert np.all(standing[-6:-3] > 0.9) and np.all(coming[-6:-3] < 0)  # the best sequences' room
+    assert list(standing[133:137]) == [1, 0, 0, 0]  # the gait before
 
 
 @pytest.mark.parametrize(
@@ -101,16 +116,18 @@ def test_the_room_of_a_gait_is_what_its_way_sampled_finely_leaves(robot, navigat
         np.linalg.norm(along[:, :, None] - scan, axis=3).min((0, 2)) - surrogate.radius
         for scan in points
     ]
-    senses = Senses(surrogate, navigation)
-    assert np.allclose(senses.room(laser), expected, atol=2e-3)
-    assert senses.room(laser[:0]).shape == (0, len(ways))
+    senses, rest = Senses(surrogate, navigation), np.full(5, surrogate.rest)
+    seen = np.ones(points.shape[:2], bool), np.zeros_like(points), rest
+    assert np.allclose(senses.room(points, *seen)[:, : len(ways)], expected, atol=2e-3)
+    none = [part[:0] for part in (points, *seen)]
+    assert len(senses.room(*none)) == 0
 
 
 @pytest.mark.parametrize(
     ("robot", "navigation", "layer"),
     [
-        pytest.param(samples.surrogate, NAVIGATION, (64, 75), id="planar"),
-        pytest.param(samples.swimmer, SPATIAL, (64, 144), id="spatial"),
+        pytest.param(samples.surrogate, NAVIGATION, (64, 149), id="planar"),
+        pytest.param(samples.swimmer, SPATIAL, (64, 288), id="spatial"),
     ],
 )
 def test_training_repeats_itself_to_the_bit_whatever_was_drawn_before(robot, navigation, layer):
@@ -153,6 +170,21 @@ def test_robots_train_in_varied_scenes_or_in_the_k2_scenes_alone():
     assert np.array_equal(fixed.robots.batch.targets, wanted.targets)
 
 
+def test_the_network_is_chosen_by_scenes_that_no_evaluation_uses():
+    chooses = _Checkpoints(samples.surrogate(), NAVIGATION, 0, SMALL, 60, silent).batch
+    circles = np.dstack([chooses.centres, chooses.radii])
+    known = {tuple(circle) for circle in circles.reshape(-1, 3) if circle[2] > 0}
+    assert len(known) > 100
+    for seed in range(4):  # the validation's own seed and those next to it
+        for speed in (0.0, 0.25, 2.0):
+            for scene in (
+                *k2_scenes(NAVIGATION, seed, 40, obstacle_speed=speed),
+                *novel_scenes(NAVIGATION, 200, seed, obstacle_speed=speed),
+            ):
+                circles = np.column_stack([scene.centres[:, :2], scene.radii])
+                assert not known & {tuple(circle) for circle in circles}
+
+
 def test_an_ablation_tries_the_chosen_network_on_k2_and_novel_scenes():
     recipe = dataclasses.replace(SMALL, **CHANGES["raw Eq. 2"])
     row = ablate(samples.swimmer(), SPATIAL, 0, recipe)
@@ -164,7 +196,7 @@ def test_an_ablation_tries_the_chosen_network_on_k2_and_novel_scenes():
 
 def test_training_stops_at_the_limit_of_time_and_still_gives_a_network():
     network, curves, meta = train(samples.surrogate(), NAVIGATION, 0, SMALL, 0.0, silent)
-    assert meta["stopped_early"] and network.weights[0].shape == (64, 75)
+    assert meta["stopped_early"] and network.weights[0].shape == (64, 149)
 
 
 def test_training_tells_its_progress_up_to_the_end():
@@ -239,7 +271,7 @@ def test_a_saved_planner_gives_the_same_values_to_the_bit(tmp_path):
 def test_policies_that_do_not_fit_are_refused_in_one_sentence(tmp_path):
     path = tmp_path / "policy.npz"
     SOLVER.save(planner(), path)
-    with pytest.raises(DefplanError, match="wants 75 inputs, this task's laser, .* gaits give 43"):
+    with pytest.raises(DefplanError, match="wants 149 inputs, this task's laser, .* gaits give 85"):
         SOLVER.load(path, samples.surrogate(), Navigation(beams=32))
     renamed = dataclasses.replace(samples.surrogate(), task_names=("forward", "port", "right"))
     with pytest.raises(DefplanError, match="forward, left, right, not for forward, port, right"):

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from defplan_mj.planning.frames import turns
+from defplan_mj.planning.odometry import Odometry
 from defplan_mj.planning.outcome import SUCCESS
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.search.greedy import GreedyPlanner
 from defplan_solvers.search.loops import SAME, VISIT, LoopBreaker
-from defplan_solvers.search.odometry import Odometry
 from tests.samples import planning as samples
 
 NAVIGATION = Navigation()
@@ -72,7 +72,7 @@ def test_a_robot_that_walks_to_every_side_knows_a_place_again_whatever_its_headi
     surrogate = samples.walker(scatter=0.0)
     loops = LoopBreaker(surrogate, NAVIGATION)
     env = SurrogateEnv(surrogate, NAVIGATION, samples.batch(samples.scene(target=(20.0, 0.0))))
-    _, target = env.observe()
+    target = env.observe().target
     for gait in [FORWARD] * 15 + [BACK] * 14:  # drifts by 0.9 rad
         lowered(loops, target[0])
         loops.odometry.chose(gait)
@@ -102,7 +102,7 @@ def test_odometry_keeps_to_the_way_though_cycles_scatter(seed):
     env = SurrogateEnv(surrogate, NAVIGATION, scene, generator=generator, noise=1.0)
     odometry = Odometry(surrogate, NAVIGATION)
     position, frame = np.zeros(2), env.frames[0].astype(float)
-    _, target = env.observe()
+    target = env.observe().target
     assert odometry.moved(target[0].astype(float)) is None
     for gait in generator.integers(0, 4, 60):
         odometry.chose(int(gait))

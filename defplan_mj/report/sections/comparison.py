@@ -39,7 +39,7 @@ def comparison_section(material: Material) -> Section:
             "surrogate); the path of one log beside the surrogate's own, which never sees the truth "
             f"after the start and drifts; errors of position and {name} after one cycle, a dot a "
             "cycle, the box from quartile to quartile. Hollow: an episode's first cycles, in which "
-            "the body gets up to speed from rest; the surrogate knows full speed only.",
+            "the body gets up to speed from rest; the surrogate knows the very first cycle and full speed.",
         ),
         Table(
             comparison.columns,

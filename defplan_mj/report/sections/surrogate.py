@@ -33,6 +33,7 @@ def surrogate_section(material: Material) -> Section:
             "Rotation and translation a cycle, mean ± standard deviation over the pairs, beside "
             "the paper's Table III.",
         ),
+        *_by_pair(surrogate),
     ]
     return section
 
@@ -61,3 +62,26 @@ def table_three(
             row += ["–", "–"]
         rows.append(row)
     return rows
+
+
+def _by_pair(surrogate: Surrogate) -> list[Text | Table]:
+    """Return what a motion for each gait before brings, on switching that it was not fitted to."""
+    if surrogate.switching is None or not surrogate.switching.held_out:
+        return []
+    told = surrogate.switching.held_out
+    rows = [
+        [name, f"{told[f'{key}place_m']:.3f}", f"{told[f'{key}turn_rad']:.3f}"]
+        for name, key in (("one motion a gait", "plain_"), ("by the gait before, too", ""))
+    ]
+    return [
+        Text(
+            "What a cycle does depends on the gait before it. Planner, training and collision check use "
+            "a motion for each pair of gaits, and one for each gait from rest."
+        ),
+        Table(
+            ["surrogate", "place (m)", "rotation (rad)"],
+            rows,
+            f"How far a cycle is from its prediction, root mean square of {told['cycles']:.0f} cycles "
+            "that were not fitted.",
+        ),
+    ]

@@ -22,22 +22,25 @@ class Odometry:
     Args:
         surrogate: f_fit.
         navigation: for the space.
+
+    Attributes:
+        gait: of the last cycle; the surrogate's `rest` before the first one.
     """
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
-        self.motions = surrogate.motions(navigation.space)
-        self.turn_variance = surrogate.rotation_sd**2
-        self.way_variance = surrogate.translation_sd**2
+        self.motions, self.rest = surrogate.switched_motions(navigation.space), surrogate.rest
+        turn, way = surrogate.scatter()
+        self.turn_variance, self.way_variance = turn**2, way**2
         self.reset()
 
     def reset(self) -> None:
         """Forget the episode."""
         self._target: np.ndarray | None = None
-        self._gait: int | None = None
+        self.gait = self._before = self.rest
 
     def chose(self, gait: int) -> None:
         """Take note of the gait of the coming cycle."""
-        self._gait = gait
+        self._before, self.gait = self.gait, gait
 
     def moved(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Take the target (d,) as seen now; return how the robot moved since the last one.
@@ -47,13 +50,14 @@ class Odometry:
             None at the start.
         """
         before, self._target = self._target, target
-        if before is None or self._gait is None:
+        if before is None or self.gait == self.rest:
             return None
-        turn = self.motions.rotations[self._gait]
+        switch = (self._before, self.gait)
+        turn, way = self.motions.of(switch)
         expected = turn @ target  # from the robot's new place, as seen in its old frame
-        seen = before - self.motions.translations[self._gait]
+        seen = before - way
         distance2 = float(expected @ expected)
-        leeway = self.turn_variance[self._gait] * distance2
-        share = leeway / max(leeway + self.way_variance[self._gait], 1e-12)
+        leeway = self.turn_variance[switch] * distance2
+        share = leeway / max(leeway + self.way_variance[switch], 1e-12)
         turn = turn_between(expected, expected + share * (seen - expected)) @ turn
         return before - turn @ target, turn
