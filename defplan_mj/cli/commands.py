@@ -206,8 +206,8 @@ def bound(arguments: argparse.Namespace, console: Console) -> int:
     """Judge planners, in the collision check, against one that is told all obstacles and how they move."""
     from defplan_mj import registry
     from defplan_mj.base.errors import DefplanError
+    from defplan_mj.base.places import PLACES
     from defplan_mj.pipeline.trial import robot
-    from defplan_mj.planning.outcome import PLACES
     from defplan_mj.studies.bound import judge, settings
 
     where = settings(arguments.scenes or list(PLACES), arguments.obstacle_speed or ())

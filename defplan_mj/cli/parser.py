@@ -10,9 +10,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from defplan_mj.base.places import PLACES
 from defplan_mj.base.printable import printable
 from defplan_mj.cli import body, commands, logs, new, study
-from defplan_mj.planning.outcome import PLACES, SCENES
+from defplan_mj.planning.outcome import SCENES
 
 _AXES = ("x", "-x", "y", "-y", "z", "-z")
 

@@ -17,7 +17,7 @@ from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.host.navigation import robot_environment
 from defplan_mj.planning.outcome import ENDINGS, Outcome
 from defplan_mj.planning.planner import Planner, needs_obstacles
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from defplan_mj.planning.shield import Shield
 from defplan_mj.task import Navigation
 
