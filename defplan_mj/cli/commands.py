@@ -19,6 +19,7 @@ from defplan_mj.cli.text import (
     check_text,
     evaluation_text,
     gait_text,
+    noise_text,
     planner_text,
     robustness_text,
     run_text,
@@ -239,6 +240,30 @@ def bound(arguments: argparse.Namespace, console: Console) -> int:
         )
     data = {"task": spec.name, "seed": arguments.seed, "rows": rows}
     console.result(data, bound_text(data))
+    return 0
+
+
+def noise(arguments: argparse.Namespace, console: Console) -> int:
+    """Count successes in unseen scenes where sensing is bad, or the robot not as it was."""
+    from defplan_mj.pipeline.trial import robot
+    from defplan_mj.planning.scenes import novel_scenes
+    from defplan_mj.studies.noise import measure_noise
+
+    with _stage(arguments, console, "planner") as run:
+        run.do("planner")
+        navigation = run.plan.spec.navigation
+        rows = measure_noise(
+            robot(run),
+            run.result("surrogate"),
+            navigation,
+            run.result("planner"),
+            novel_scenes(navigation, arguments.episodes, arguments.seed),
+            seed=arguments.seed,
+            progress=run.progress_of("noise"),
+        )
+        data = {"task": run.plan.spec.name, "seed": arguments.seed}
+        data |= {"planner": run.plan.planner.name, "rows": rows}
+    console.result(data, noise_text(data))
     return 0
 
 

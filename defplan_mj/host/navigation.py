@@ -197,7 +197,9 @@ class Navigate(base.Task):
         """Return 'state', 'target' and 'laser', see `reduced_observation`; 'obstacles' if it tells them."""
         observation = reduced_observation(physics, physics.target())
         if self.tells_obstacles:
-            observation["obstacles"] = true_obstacles(physics, self._here())
+            observation["obstacles"] = true_obstacles(
+                physics, self._here(), self.gait.cycle_seconds
+            )
         return observation
 
     def _here(self) -> Scene:
@@ -239,11 +241,15 @@ def reduced_observation(
     return observation
 
 
-def true_obstacles(physics: Physics, scene: Scene) -> np.ndarray:
-    """Return the obstacles (n, d + 1) of a scene now: centres in the robot's frame and radii, m."""
-    centres = scene.centres + physics.time() * scene.velocities
-    local = (centres - physics.com()) @ physics.planning_frame()
-    return np.column_stack([local[:, : scene.place.dimension], scene.radii])
+def true_obstacles(physics: Physics, scene: Scene, seconds: float) -> np.ndarray:
+    """Return the obstacles (n, 2 d + 1) of a scene now, in the robot's frame.
+
+    Each row is a centre (d), m, a radius, m, and how far it moves in a cycle of `seconds` (d), m.
+    """
+    d, frame = scene.place.dimension, physics.planning_frame()
+    centres = scene.centres + physics.time() * scene.velocities - physics.com()
+    drift = seconds * scene.velocities
+    return np.hstack([(centres @ frame)[:, :d], scene.radii[:, None], (drift @ frame)[:, :d]])
 
 
 def _tilt(physics: Physics) -> np.ndarray:
