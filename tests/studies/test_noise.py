@@ -34,8 +34,9 @@ class Listener:
 
 
 def heard(name: str, strength: float, times: int = 1, seed: int = 0):
-    listener = Listener()
-    planner = Disturbed(listener, NAMED[name].sense, strength, NEAR, seed)
+    listener, sense = Listener(), NAMED[name].sense
+    assert sense is not None
+    planner = Disturbed(listener, sense, strength, NEAR, seed)
     true = {"laser": np.linspace(1.0, 10.0, 64), "target": np.array([5.0, 1.0, 0.5])}
     kept = {key: value.copy() for key, value in true.items()}
     for _ in range(times):
@@ -77,7 +78,9 @@ def test_a_heavier_robot_and_more_drag_swim_differently(robot):
         shapes = np.tile(who.gait.table()[0], (2, 1))
         return dynamics.rollout(dynamics.rest_state(), shapes)[-1][0]
 
-    heavy, slick = NAMED["mass"].change(robot, 0.2), NAMED["drag"].change(robot, -0.2)
+    mass, drag = NAMED["mass"].change, NAMED["drag"].change
+    assert mass is not None and drag is not None
+    heavy, slick = mass(robot, 0.2), drag(robot, -0.2)
     assert heavy.body.mass == pytest.approx(1.2 * robot.body.mass)
     assert slick.world.medium.density == pytest.approx(0.8 * 1000)
     assert len({round(way(who), 6) for who in (robot, heavy, slick)}) == 3
