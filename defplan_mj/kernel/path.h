@@ -22,9 +22,9 @@ typedef struct {
   int touch_known, moments_known;     /* whether `touch` and P are those of this configuration */
 } Node;
 
-/* What of a node is computed beside its places: dz; Jq (with it); area vectors. The rest is where
- * it is needed. */
-enum { PLACES = 0, TANGENT = 1, DRAG_TANGENT = 2, AREAS = 4 };
+/* What of a node is computed: its attitude alone; zeta, too; places of the drag points, too, and
+ * beside them dz; Jq (with it); area vectors. The rest is where it is needed. */
+enum { PLACE = -2, SHAPE = -1, PLACES = 0, TANGENT = 1, DRAG_TANGENT = 2, AREAS = 4 };
 
 typedef struct {
   const Body* body;

@@ -116,8 +116,8 @@ void path_residual(Path* p) {
   if (p->m) force(p->near_f, p->near_y1, p->near_Jq, r, p->mp, g);
 }
 
-/* Node 2 = from, moved by -alpha step. */
-static void move(Path* p, const Pose* from, const double* step, double alpha, int what) {
+/* Where -alpha step leads from a configuration. */
+static Pose moved(const Path* p, const Pose* from, const double* step, double alpha) {
   Pose to = {{0}, {0}, {0}};
   double turn[3], dq[4];
   for (int i = 0; i < 3; i++)
@@ -126,7 +126,7 @@ static void move(Path* p, const Pose* from, const double* step, double alpha, in
   quat_mul(dq, from->quat, to.quat);
   quat_normalize(to.quat);
   for (int c = 0; c < p->body->r; c++) to.q[c] = from->q[c] - alpha * step[6 + c];
-  node_set(p, p->n2, &to, what);
+  return to;
 }
 
 /* The first guess: the motion goes on as it was. */
@@ -195,7 +195,8 @@ static double search(Path* p, const Inverse* v, int what, double* next) {
   const double *step = v->steps[v->kept], turn = largest_of(step + 3, v->n - 3);
   double alpha = turn > MAX_TURN ? MAX_TURN / turn : 1;
   for (int halvings = 0; halvings <= HALVINGS; halvings++, alpha *= .5) {
-    move(p, &from, step, alpha, what);
+    const Pose to = moved(p, &from, step, alpha);
+    node_set(p, p->n2, &to, what);
     path_residual(p);
     inverse_apply(v, p->g, next);
     const double reduced = 1 - .25 * alpha;
@@ -204,10 +205,11 @@ static double search(Path* p, const Inverse* v, int what, double* next) {
   return 0;
 }
 
-/* The last step, after which nothing is left. */
+/* The last step, after which nothing is left: no equation is looked at any more, only what
+ * touches. */
 static int finish(Path* p, const Inverse* v) {
-  const Pose from = p->n2->at;
-  move(p, &from, v->steps[v->kept], 1, PLACES);
+  const Pose to = moved(p, &p->n2->at, v->steps[v->kept], 1);
+  node_set(p, p->n2, &to, terrain_parts(&p->terrain) ? SHAPE : PLACE);
   return 1;
 }
 
