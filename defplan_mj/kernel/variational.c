@@ -44,7 +44,9 @@ static void force(const double* f, const double* y, const double* Jq, int r, int
   double turn[3];
   sum_cross(y, f, n, turn);
   for (int i = 0; i < 3; i++) g[i] -= sum(f + i * n, n), g[3 + i] -= turn[i];
-  for (int c = 0; c < r; c++) g[6 + c] -= inner(Jq + c * 3 * n, f, 3 * n);
+  double work[DP_MAX_MODES] = {0};
+  products(f, 1, Jq, r, 3 * n, work, r);
+  for (int c = 0; c < r; c++) g[6 + c] -= work[c];
 }
 
 /* Places of the feet at node 1, and the given forces on them. */
@@ -148,7 +150,7 @@ static void free_matrix(Path* p, const Node* b, double* H) {
   inertia_matrix(p, b, H);
   if (!has_drag(p->body, p->par)) return;
   interval_drag(p, p->n1, p->n2, p->area12, p->f12, p->D12);
-  drag_matrix(p, p->n2->y, p->n1->Jq, H);
+  drag_matrix_of_1(p, H);
 }
 
 /* The inverse of a matrix: its factors and Broyden's rank-one updates of it, made of the last steps
