@@ -148,9 +148,10 @@ DP_API double dp_geom_distance(const dp_geom* g, const double p[3], double norma
 
 /* Planning with rigid motions of whole gait cycles, in d = 2 or 3 dimensions.
  *
- * Least squared distance `out` (n x n_ways, on entry the largest that counts) of each robot's points
- * to the ways of its tree. Points offsets[i] .. offsets[i + 1] - 1 are robot i's: places and drifts in
- * a cycle (both x d). Trees: start and end (trees x d x n_ways), begun (n_ways): the cycles before. */
+ * Least squared distance `out` (n x n_ways, on entry the largest that counts) of each robot's
+ * points to the ways of its tree. Points offsets[i] .. offsets[i + 1] - 1 are robot i's: places
+ * and drifts in a cycle (both x d). Trees: start and end (trees x d x n_ways), begun (n_ways): the
+ * cycles before. */
 DP_API void dp_ways(int d, int n, const int* offsets, const float* points, const float* drift,
                     const int* tree, int n_ways, const float* start, const float* end,
                     const float* begun, float* out);

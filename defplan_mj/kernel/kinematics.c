@@ -78,10 +78,10 @@ void kinematics(const Body* b, const double* q, int derivatives, double* restric
   for (int e = 0; e < blocks; e++) {
     const double* L = b->features + LANES * e; /* 9 x r x lanes */
     Vec *x = (Vec*)scratch + PER_BLOCK * e, *D = x + 9, *E = D + 27, *coef = E + 9, Y[9], W[9];
-    for (int i = 0; i < 9; i++) {
-      x[i] = (Vec){0};
-      for (int c = 0; c < r; c++) x[i] += load(L + (i * r + c) * lanes) * q[c];
-    }
+    Vec sums[9] = {{0}}; /* of all nine at once: none waits for its own last sum */
+    for (int c = 0; c < r; c++)
+      for (int i = 0; i < 9; i++) sums[i] += load(L + (i * r + c) * lanes) * q[c];
+    for (int i = 0; i < 9; i++) x[i] = sums[i];
     const Vec t2 = x[0] * x[0] + x[1] * x[1] + x[2] * x[2];
     if (derivatives) exp_coef(t2, 6, coef);
     else exp_coef(t2, 2, coef);

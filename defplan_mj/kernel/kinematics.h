@@ -17,7 +17,8 @@ void kinematics_curvature(const Body* b, const double* grad, double* scratch, do
 void moments_apply(const Body* b, int m, const double* zeta, double* out);
 /* N_ij = P_ij . zeta = sum_v m y'_i y_j for the moments P of one shape and another's zeta */
 static inline void moments_pair(const double* P, const double* zeta, int kp, double* N) {
-  for (int i = 0; i < 9; i++) N[i] = inner(P + i * kp, zeta, kp);
+  memset(N, 0, 9 * sizeof(double));
+  products(zeta, 1, P, 9, kp, N, 9);
 }
 /* out = A N B^T: such an N to the world, A and B the attitudes of the two */
 void to_world(const double* A, const double* N, const double* B, double* out);

@@ -39,17 +39,18 @@ size_t path_lay(Path* p, const Parts* parts, double* memory) {
 
 void node_set(const Path* p, Node* n, const Pose* pose, int what) {
   const Body* b = p->body;
-  const int np = b->np, tangent = what & TANGENT, areas = what & AREAS;
+  const int np = b->np, all = what < 0 ? 0 : what, tangent = all & TANGENT, areas = all & AREAS;
   if (&n->at != pose) {
     if (memcmp(&n->at, pose, sizeof n->at)) n->touch_known = 0;
     n->at = *pose;
   }
   n->moments_known = 0;
-  const int fields = what & DRAG_TANGENT ? 1 + b->r : 1;
-  *p->spent += (double)b->kp * b->nf * (tangent ? 1 + b->r : 1);
   quat_matrix(n->at.quat, n->R);
+  if (what == PLACE) return;
+  const int fields = all & DRAG_TANGENT ? 1 + b->r : 1;
+  *p->spent += (double)b->kp * b->nf * (tangent ? 1 + b->r : 1);
   kinematics(b, n->at.q, tangent, n->zeta, n->scratch);
-  if (!has_drag(b, p->par)) return;
+  if (what == SHAPE || !has_drag(b, p->par)) return;
   *p->spent += b->kp * 3. * np * (fields + (areas ? 2 : 0));
   field_apply(b, b->points, fields, n->zeta, np, p->local);
   for (int c = 0; c < fields; c++) rotate(n->R, p->local + c * 3 * np, np, n->y + c * 3 * np);

@@ -22,9 +22,9 @@ typedef struct {
   int touch_known, moments_known;     /* whether `touch` and P are those of this configuration */
 } Node;
 
-/* What of a node is computed beside its places: dz; Jq (with it); area vectors. The rest is where
- * it is needed. */
-enum { PLACES = 0, TANGENT = 1, DRAG_TANGENT = 2, AREAS = 4 };
+/* What of a node is computed: its attitude alone; zeta, too; places of the drag points, too, and
+ * beside them dz; Jq (with it); area vectors. The rest is where it is needed. */
+enum { PLACE = -2, SHAPE = -1, PLACES = 0, TANGENT = 1, DRAG_TANGENT = 2, AREAS = 4 };
 
 typedef struct {
   const Body* body;
@@ -92,6 +92,8 @@ int variational_solve(Path* p, const Pose* guess, dp_info* info);
 void inertia_matrix(const Path* p, const Node* b, double* H);
 /* H += J_1^T D J_b / 2 over the drag points, D = p->D12, J_b by the places y and Jq. */
 void drag_matrix(Path* p, const double* y, const double* Jq, double* H);
+/* The same with J_1 in the place of J_b, which makes it symmetric: cheaper, for the iterations. */
+void drag_matrix_of_1(Path* p, double* H);
 /* Exact matrix dg/d(node 2) in p->H; node 2 is set whole. */
 void variational_matrix(Path* p);
 

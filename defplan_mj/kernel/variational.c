@@ -44,7 +44,9 @@ static void force(const double* f, const double* y, const double* Jq, int r, int
   double turn[3];
   sum_cross(y, f, n, turn);
   for (int i = 0; i < 3; i++) g[i] -= sum(f + i * n, n), g[3 + i] -= turn[i];
-  for (int c = 0; c < r; c++) g[6 + c] -= inner(Jq + c * 3 * n, f, 3 * n);
+  double work[DP_MAX_MODES] = {0};
+  products(f, 1, Jq, r, 3 * n, work, r);
+  for (int c = 0; c < r; c++) g[6 + c] -= work[c];
 }
 
 /* Places of the feet at node 1, and the given forces on them. */
@@ -116,8 +118,8 @@ void path_residual(Path* p) {
   if (p->m) force(p->near_f, p->near_y1, p->near_Jq, r, p->mp, g);
 }
 
-/* Node 2 = from, moved by -alpha step. */
-static void move(Path* p, const Pose* from, const double* step, double alpha, int what) {
+/* Where -alpha step leads from a configuration. */
+static Pose moved(const Path* p, const Pose* from, const double* step, double alpha) {
   Pose to = {{0}, {0}, {0}};
   double turn[3], dq[4];
   for (int i = 0; i < 3; i++)
@@ -126,7 +128,7 @@ static void move(Path* p, const Pose* from, const double* step, double alpha, in
   quat_mul(dq, from->quat, to.quat);
   quat_normalize(to.quat);
   for (int c = 0; c < p->body->r; c++) to.q[c] = from->q[c] - alpha * step[6 + c];
-  node_set(p, p->n2, &to, what);
+  return to;
 }
 
 /* The first guess: the motion goes on as it was. */
@@ -148,7 +150,7 @@ static void free_matrix(Path* p, const Node* b, double* H) {
   inertia_matrix(p, b, H);
   if (!has_drag(p->body, p->par)) return;
   interval_drag(p, p->n1, p->n2, p->area12, p->f12, p->D12);
-  drag_matrix(p, p->n2->y, p->n1->Jq, H);
+  drag_matrix_of_1(p, H);
 }
 
 /* The inverse of a matrix: its factors and Broyden's rank-one updates of it, made of the last steps
@@ -195,7 +197,8 @@ static double search(Path* p, const Inverse* v, int what, double* next) {
   const double *step = v->steps[v->kept], turn = largest_of(step + 3, v->n - 3);
   double alpha = turn > MAX_TURN ? MAX_TURN / turn : 1;
   for (int halvings = 0; halvings <= HALVINGS; halvings++, alpha *= .5) {
-    move(p, &from, step, alpha, what);
+    const Pose to = moved(p, &from, step, alpha);
+    node_set(p, p->n2, &to, what);
     path_residual(p);
     inverse_apply(v, p->g, next);
     const double reduced = 1 - .25 * alpha;
@@ -204,10 +207,11 @@ static double search(Path* p, const Inverse* v, int what, double* next) {
   return 0;
 }
 
-/* The last step, after which nothing is left. */
+/* The last step, after which nothing is left: no equation is looked at any more, only what
+ * touches. */
 static int finish(Path* p, const Inverse* v) {
-  const Pose from = p->n2->at;
-  move(p, &from, v->steps[v->kept], 1, PLACES);
+  const Pose to = moved(p, &p->n2->at, v->steps[v->kept], 1);
+  node_set(p, p->n2, &to, terrain_parts(&p->terrain) ? SHAPE : PLACE);
   return 1;
 }
 

@@ -30,7 +30,8 @@ static void inertia_of_mode(const Path* p, const Node* nb, const double* C, int 
   moments_pair(n1->P, nb->dz + c * kp, kp, N);
   to_world(nb->R, N, n1->R, M), vee(M, turn);
   for (int i = 0; i < 3; i++) H[(3 + i) * n + 6 + c] += ih2 * turn[i];
-  for (int i = 0; i < 9; i++) N[i] = inner(Q + (i % 3 * 3 + i / 3) * kp, nb->zeta, kp);
+  moments_pair(Q, nb->zeta, kp, M);
+  for (int i = 0; i < 9; i++) N[i] = M[i % 3 * 3 + i / 3];
   to_world(n1->R, N, nb->R, M), vee(M, turn);
   for (int i = 0; i < 3; i++) H[(6 + c) * n + 3 + i] += ih2 * turn[i];
   for (int a = 0; a < kp; a++) row[a] = 0;
@@ -80,6 +81,31 @@ void drag_matrix(Path* p, const double* y, const double* Jq, double* H) {
       H[i * n + j] += sum(out + i * np, np), H[(3 + i) * n + j] += turn[i];
   }
   products(n1->Jq, r, p->columns, n, 3 * np, H + 6 * n, n);
+}
+
+void drag_matrix_of_1(Path* p, double* H) {
+  const int r = p->body->r, np = p->body->np, n = 6 + r, size = 3 * np;
+  const Node* n1 = p->n1;
+  double S[MAX_N * MAX_N] = {0}; /* its upper half */
+  *p->spent += n * np * (20. + 2 * r);
+  for (int j = 0; j < n; j++) {
+    double *out = p->columns + (size_t)j * size, turn[3];
+    drag_column(p, j, n1->y, n1->Jq, out);
+    for (int i = 0; i < 3 && i <= j; i++) S[i * n + j] = sum(out + i * np, np);
+    if (j < 3) continue;
+    sum_cross(n1->y, out, np, turn);
+    for (int i = 0; i < 3 && 3 + i <= j; i++) S[(3 + i) * n + j] = turn[i];
+  }
+  for (int c = 0; c < r; c += 2) {
+    const size_t at = (size_t)c * size;
+    products(n1->Jq + at, r - c < 2 ? 1 : 2, p->columns + 6 * (size_t)size + at, r - c, size,
+             S + (6 + c) * n + 6 + c, n);
+  }
+  for (int i = 0; i < n; i++)
+    for (int j = i; j < n; j++) {
+      H[i * n + j] += S[i * n + j];
+      if (j > i) H[j * n + i] += S[i * n + j];
+    }
 }
 
 void variational_matrix(Path* p) {

@@ -45,21 +45,29 @@ static inline __attribute__((always_inline)) void multiply_block(int rows, const
                                  *(AnyVec*)(out + (size_t)i * n + LANES) = sums[i][1];
   }
 }
-/* One row: four blocks of columns at once, so that the sums do not wait for each other. */
+/* One row: up to eight vectors of columns at once, so that the sums do not wait for each other. */
+static inline __attribute__((always_inline)) void multiply_row_block(const int vectors,
+                                                                     const double* a, int col,
+                                                                     const double* b, int inner,
+                                                                     int n, double* out) {
+  Vec sums[8];
+  for (int v = 0; v < vectors; v++) sums[v] = (Vec){0};
+  for (int k = 0; k < inner; k++) {
+    const double factor = a[(size_t)k * col];
+    for (int v = 0; v < vectors; v++)
+      sums[v] += factor * *(const AnyVec*)(b + (size_t)k * n + LANES * v);
+  }
+  for (int v = 0; v < vectors; v++) *(AnyVec*)(out + LANES * v) = sums[v];
+}
 static inline void multiply_row(const double* a, int col, const double* b, int inner, int n,
                                 double* out) {
   int j = 0;
-  for (; j + 32 <= n; j += 32) {
-    Vec sums[8];
-    for (int v = 0; v < 8; v++) sums[v] = (Vec){0};
-    for (int k = 0; k < inner; k++) {
-      const double factor = a[(size_t)k * col];
-      for (int v = 0; v < 8; v++)
-        sums[v] += factor * *(const AnyVec*)(b + (size_t)k * n + j + LANES * v);
-    }
-    for (int v = 0; v < 8; v++) *(AnyVec*)(out + j + LANES * v) = sums[v];
+  for (; j + 32 <= n; j += 32) multiply_row_block(8, a, col, b + j, inner, n, out + j);
+  switch (n - j) {
+    case 8: multiply_row_block(2, a, col, b + j, inner, n, out + j); break;
+    case 16: multiply_row_block(4, a, col, b + j, inner, n, out + j); break;
+    case 24: multiply_row_block(6, a, col, b + j, inner, n, out + j); break;
   }
-  for (; j < n; j += 8) multiply_block(1, a, 0, col, b + j, inner, n, out + j);
 }
 static inline void multiply(int m, const double* a, int row, int col, const double* b, int inner,
                             int n, double* out) {
