@@ -23,6 +23,7 @@ from defplan_mj.planning.outcome import ENDINGS
 from defplan_mj.study.build import require_same
 from defplan_mj.study.matrix import Cell
 from defplan_mj.study.table import EPISODE_COLUMNS, KEYS, STAGES, Row, complete, moving_name
+from defplan_mj.task import TaskSpec
 from defplan_mj.taskfile.find import find_task
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def keys_of(cell: Cell) -> Row:
 def _carry_out(job: Job, made: Row, progress: Progress) -> None:
     """Do a run, and put into `made` what its row says; also of a run that fails."""
     cell = job.cell
-    spec = find_task(cell.source)
+    spec = _task_of(job, made, progress)
     chosen = {
         "gait_solver": cell.gait_solver,
         "planner": cell.planner,
@@ -125,6 +126,23 @@ def _carry_out(job: Job, made: Row, progress: Progress) -> None:
             if time.monotonic() > deadline:
                 raise
             time.sleep(1.0)
+
+
+def _task_of(job: Job, made: Row, progress: Progress) -> TaskSpec:
+    """Return the task of a run; of a mesh that of its file in the study's folder, guessed if it is not there."""
+    cell = job.cell
+    if not cell.medium:
+        return find_task(cell.source)
+    from defplan_mj.taskfile.guess import guess_task
+    from defplan_mj.taskfile.write import write_task
+
+    path = job.root / f"{cell.task}.toml"
+    if not path.is_file():
+        began = time.perf_counter()
+        guess = guess_task(cell.source, cell.medium, progress=progress)
+        write_task(guess.spec, path, [f"Guessed: {guess.sentence}."])
+        made["guess_seconds"] = time.perf_counter() - began
+    return find_task(str(path))
 
 
 def _do(run: Run, until: str) -> None:

@@ -99,6 +99,13 @@ COLUMNS: tuple[Column, ...] = (
         for s in SPEEDS
     ),
     Column("moving_episodes", "whole", "", "at each of these speeds"),
+    Column(
+        "guess_seconds",
+        "number",
+        "s",
+        "wall time of guessing a mesh's task, if this run did it",
+        timing=True,
+    ),
     *(
         Column(f"{stage}_seconds", "number", "s", f"wall time of the stage {stage}", timing=True)
         for stage in STAGES

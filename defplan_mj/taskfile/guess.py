@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,8 +30,8 @@ from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.style import lateral_share
 from defplan_mj.gait.trials import try_tasks
 from defplan_mj.task import GaitTask, Navigation, TaskSpec, Weights
+from defplan_mj.taskfile.find import GAIT_SOLVER, MEDIA, mesh_task_name
 
-MEDIA = ("water", "ground")
 _ROUND = 0.1  # by how much the two extents across the axis of a round body may differ
 
 
@@ -122,7 +121,7 @@ def guess_task(
     height = float(np.ptp(body.vertices[:, 2]))
     timestep, steps = rhythm(kind, hertz, height)
     spec = TaskSpec(
-        name=name or f"{plain_name(path.stem)}-{'walk' if kind == 'ground' else 'swim'}",
+        name=name or mesh_task_name(path, medium),
         description=f"{path.stem}, guessed from its mesh: it {_DOES[kind]}",
         mesh=path,
         body=chosen,
@@ -133,6 +132,7 @@ def guess_task(
         weights=_weights(kind, size),
         axis=(1.0, 0.0, 0.0) if axis is None else axis,
         terrain=GROUND.terrain if kind == "ground" else None,
+        gait_solver=GAIT_SOLVER,
         navigation=_navigation(kind, size),
     )
     if kind != "ground":
@@ -227,7 +227,8 @@ def _with_modes(path: Path, options: BodyOptions) -> tuple[BodyOptions, np.ndarr
             options, modes=int(np.clip(enough, options.modes, _MOST_MODES))
         )
         values, modes = values[: options.modes], modes[..., : options.modes]
-    correction = stiffness_correction(mesh, material, mass, modes)
+    # of the body's first modes: all modes are corrected alike, by what these are too stiff
+    correction = stiffness_correction(mesh, material, mass, modes[..., :3])
     hertz = np.sqrt(values * correction.young) / (2 * np.pi)
     return options, hertz * np.sqrt(1.0 + material.control_stiffness)
 
@@ -245,7 +246,8 @@ def _as_tried(spec: TaskSpec, progress: Progress) -> TaskSpec:
     problem = GaitProblem.of(spec, spec.dynamics(body))
     size = spec.body.length or 1.0
     tasks = []
-    for task, done in zip(spec.gait_tasks, try_tasks(problem, progress=progress), strict=True):
+    tried = try_tasks(problem, progress=lambda message, done: progress(f"task: {message}", done))
+    for task, done in zip(spec.gait_tasks, tried.trials, strict=True):
         turn, move = np.array(task.turn), np.array(task.move)
         if task.angle:
             turn *= _wanted(_MORE * done.turn, _LEAST_TURN, task.angle) / task.angle
@@ -275,7 +277,7 @@ _DOES = {
     "spatial": "swims in space",
     "ground": "walks",
 }
-_GAIT_CYCLES = {"planar": 18, "spatial": 11, "ground": 8}  # as the shipped tasks have
+_GAIT_CYCLES = {"planar": 8, "spatial": 8, "ground": 8}  # half of what the shipped swimmers have
 
 
 def gait_tasks(
@@ -317,12 +319,20 @@ def _triple(vector: np.ndarray) -> tuple[float, float, float]:
 
 
 BODIES = {
-    "planar": BodyOptions(modes=5, basis=31, samples=16, amplitude=2.0, shape_error=MOST_DISTANCE),
+    "planar": BodyOptions(
+        modes=5,
+        basis=31,
+        samples=16,
+        drag_error=0.06,
+        amplitude=2.0,
+        shape_error=MOST_DISTANCE,
+    ),
     "spatial": BodyOptions(
         vertices=1500,
         modes=10,
         basis=60,
         samples=24,
+        drag_error=0.06,
         medium=Medium(righting_height=0.0),
         shape_error=MOST_DISTANCE,
     ),
@@ -359,11 +369,6 @@ def _navigation(kind: str, length: float) -> Navigation:
 
 
 # ---- how it is said
-
-
-def plain_name(stem: str) -> str:
-    """Return a file's stem as a task's name."""
-    return re.sub(r"[^\w.+-]+", "-", stem).strip("-.+") or "body"
 
 
 def _sentence(spec: TaskSpec, view: View, kind: str, hertz: np.ndarray, path: Path) -> str:
