@@ -27,11 +27,14 @@ setup: $(READY)
 demo: $(READY)
 	$(VENV)/bin/defplan run fish-swim
 
+# Two processes; the tests of a file are one's, so that what they share is made once.
+SHARED_OUT := -n 2 --dist loadfile
+
 test: $(READY)
-	$(PYTHON) -m pytest -q
+	$(PYTHON) -m pytest -q $(SHARED_OUT)
 
 test-full: $(READY)
-	$(PYTHON) -m pytest -q -m ""
+	$(PYTHON) -m pytest -q -m "" $(SHARED_OUT)
 
 # Libraries in build/sanitize (about a minute and a half, if a source changed); those that are used otherwise stay as they are. The sanitizers must be
 # loaded first, by name; Python's own leaks are not looked at. libstdc++ is there for exceptions.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.places import check_place
 from defplan_mj.base.space import PLANE, SPACES, Space
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.dynamics.terrain import Terrain
@@ -109,6 +110,10 @@ class Navigation:
         space: 'planar' (targets, obstacles and laser in the horizontal plane, in the yaw frame) or
             'spatial' (all of them in three dimensions, in the body frame).
         sensor: what the robot senses of its surroundings, by name; '': the laser of its space.
+        scenes: '': obstacles beside the straight way to the target. Or a name of `base.places`, such as
+            'tunnel': training targets, unseen and training scenes are all of that kind, whose
+            obstacles are its own and stand still; the counts above do not matter.
+        room: radius of the disc that gates, lanes and tunnels of these scenes are made for, m.
     """
 
     distance: float = 20.0
@@ -121,12 +126,16 @@ class Navigation:
     laser_range: float = 10.0
     space: str = PLANE.name
     sensor: str = ""
+    scenes: str = ""
+    room: float = 0.75
 
     def __post_init__(self) -> None:
         if self.space not in SPACES:
             raise DefplanError(
                 f"there is no space {self.space!r} to navigate in: take {' or '.join(SPACES)}"
             )
+        if self.scenes:
+            check_place(self.scenes, self.dimension)
 
     @property
     def dimension(self) -> int:

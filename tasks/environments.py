@@ -19,7 +19,8 @@ from defplan_mj.host.navigation import robot_environment
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.planning.robot import Robot
-from defplan_mj.planning.scenes import NovelScenes, Scene
+from defplan_mj.planning.scene import Scene
+from defplan_mj.planning.scenes import NovelScenes
 from defplan_mj.task import Navigation, TaskSpec
 
 ASSETS = Path(__file__).parent / "assets"

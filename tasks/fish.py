@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from dm_control.utils import containers
 
@@ -70,6 +72,17 @@ SWIM = TaskSpec(
         "translation_mean": (1.409, 1.424, 1.484),
         "translation_sd": (0.096, 0.087, 0.058),
     },
+)
+
+TUNNEL = replace(
+    SWIM,
+    name="fish-tunnel",
+    description="the fish swims through bending tunnels with its old gaits (the paper's Fig. 7)",
+    navigation=Navigation(scenes="tunnel", room=0.65, distance=20.0),
+    gait_solver="as-packaged",  # nothing of the first stage is new
+    planner="dql-cnn",  # the CNN is trained end to end, as in the paper
+    rivals=(),
+    paper={},
 )
 
 SUITE = containers.TaggedTasks()

@@ -12,6 +12,7 @@ from defplan_mj.body.rotation_strain import RotationStrain, shape_coordinates
 from defplan_mj.body.tetmesh import TetMesh, volumes
 
 _TIMESTEP, _DURATION = 0.02, 0.2  # of the released shape, s
+_SUBSTEPS = 4  # twice as many change the figures by 3% of themselves
 
 
 def reduced_vertices(body: Body, q: np.ndarray) -> np.ndarray:
@@ -81,8 +82,9 @@ def released_shape_error(
     if shape is None:
         shape = np.eye(body.n_modes)[0]
     steps = round(duration / timestep)
-    reduced = ReducedDynamics(body, timestep)
-    full = FullFem(body, timestep, integrator="implicit-euler", substeps=1)
+    # both by the same steps: what is left is the reduction's error
+    reduced = ReducedDynamics(body, timestep, substeps=_SUBSTEPS)
+    full = FullFem(body, timestep, substeps=_SUBSTEPS)
     state = reduced.rest_state()
     state[7 : 7 + body.n_modes] = shape
     target = np.zeros(body.n_modes)

@@ -19,6 +19,7 @@ from defplan_mj.cli.text import (
     check_text,
     evaluation_text,
     gait_text,
+    noise_text,
     planner_text,
     robustness_text,
     run_text,
@@ -206,8 +207,8 @@ def bound(arguments: argparse.Namespace, console: Console) -> int:
     """Judge planners, in the collision check, against one that is told all obstacles and how they move."""
     from defplan_mj import registry
     from defplan_mj.base.errors import DefplanError
+    from defplan_mj.base.places import PLACES
     from defplan_mj.pipeline.trial import robot
-    from defplan_mj.planning.outcome import PLACES
     from defplan_mj.studies.bound import judge, settings
 
     where = settings(arguments.scenes or list(PLACES), arguments.obstacle_speed or ())
@@ -239,6 +240,30 @@ def bound(arguments: argparse.Namespace, console: Console) -> int:
         )
     data = {"task": spec.name, "seed": arguments.seed, "rows": rows}
     console.result(data, bound_text(data))
+    return 0
+
+
+def noise(arguments: argparse.Namespace, console: Console) -> int:
+    """Count successes in unseen scenes where sensing is bad, or the robot not as it was."""
+    from defplan_mj.pipeline.trial import robot
+    from defplan_mj.planning.scenes import novel_scenes
+    from defplan_mj.studies.noise import measure_noise
+
+    with _stage(arguments, console, "planner") as run:
+        run.do("planner")
+        navigation = run.plan.spec.navigation
+        rows = measure_noise(
+            robot(run),
+            run.result("surrogate"),
+            navigation,
+            run.result("planner"),
+            novel_scenes(navigation, arguments.episodes, arguments.seed),
+            seed=arguments.seed,
+            progress=run.progress_of("noise"),
+        )
+        data = {"task": run.plan.spec.name, "seed": arguments.seed}
+        data |= {"planner": run.plan.planner.name, "rows": rows}
+    console.result(data, noise_text(data))
     return 0
 
 

@@ -10,9 +10,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from defplan_mj.base.places import PLACES
 from defplan_mj.base.printable import printable
 from defplan_mj.cli import body, commands, logs, new, study
-from defplan_mj.planning.outcome import PLACES, SCENES
+from defplan_mj.planning.outcome import SCENES
 
 _AXES = ("x", "-x", "y", "-y", "z", "-z")
 
@@ -145,6 +146,7 @@ def build() -> argparse.ArgumentParser:
     _bound(
         add("bound", commands.bound, "judge planners against one that knows all that moves where")
     )
+    _noise(add("noise", commands.noise, "count successes with bad sensing, other mass, other drag"))
     _robustness(
         add(
             "robustness", commands.robustness, "count a task's falls among pushes, slopes and so on"
@@ -372,6 +374,15 @@ def _bound(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument(
         "--episodes", type=_count, default=50, metavar="N", help="of each kind (default: 50)"
+    )
+    _stage(sub)
+    _common(sub)
+
+
+def _noise(sub: argparse.ArgumentParser) -> None:
+    _task(sub)
+    sub.add_argument(
+        "--episodes", type=_count, default=50, metavar="N", help="of each strength (default: 50)"
     )
     _stage(sub)
     _common(sub)

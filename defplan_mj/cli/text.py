@@ -150,6 +150,32 @@ def bound_text(data: dict[str, Any]) -> str:
     return table(columns, rows, f"{data['task']}: planners against one that knows everything")
 
 
+def noise_text(data: dict[str, Any]) -> str:
+    """Return a row for each disturbance and strength."""
+    rows = []
+    for row in data["rows"]:
+        low, high = row["interval"]
+        rows.append(
+            [
+                *(row["disturbance"], f"{row['strength']:g} {row['unit']}".strip()),
+                *(str(row["episodes"]), f"{100 * row['success']:.1f}%"),
+                f"{100 * low:.1f}-{100 * high:.1f}%",
+                *(f"{100 * row[name]:.1f}%" for name in ("collision", "fall", "timeout")),
+            ]
+        )
+    columns = [
+        "disturbance",
+        "strength",
+        "episodes",
+        "success",
+        "95%",
+        "collision",
+        "fall",
+        "timeout",
+    ]
+    return table(columns, rows, f"{data['task']}: {data['planner']}, unseen scenes, disturbed")
+
+
 def robustness_text(data: dict[str, Any]) -> str:
     """Return falls and drift, a row for each condition and feedback."""
     rows = []

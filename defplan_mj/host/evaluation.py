@@ -17,14 +17,13 @@ from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.host.navigation import robot_environment
 from defplan_mj.planning.outcome import ENDINGS, Outcome
 from defplan_mj.planning.planner import Planner, needs_obstacles
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from defplan_mj.planning.shield import Shield
 from defplan_mj.task import Navigation
 
 if TYPE_CHECKING:
     from dm_control.rl.control import Environment
 
-    from defplan_mj.host.physics import Physics
     from defplan_mj.planning.robot import Robot
     from defplan_mj.planning.surrogate import Surrogate
 
@@ -150,7 +149,6 @@ def run_episode(
     task.tells_obstacles = needs_obstacles(planner)
     observation = env.reset().observation
     planner.reset()
-    told, seconds = getattr(planner, "sees_all", False), env.control_timestep()
     if recorder is not None:
         start = {
             "timestep": physics.timestep(),
@@ -166,10 +164,7 @@ def run_episode(
         while task.outcome == Outcome.RUNNING:
             at, x, laser = physics.time(), physics.reduced_state(), observation["laser"]
             begun = time.perf_counter()
-            seen = observation
-            if told:
-                seen = {**observation, "obstacles": obstacles(physics, scene, seconds)}
-            values = planner.values(seen)
+            values = planner.values(observation)
             gait = int(np.argmax(values))
             decided = time.perf_counter()
             step = env.step(gait)
@@ -199,23 +194,6 @@ def run_episode(
         wall=thinking + moving,
         decision=thinking / max(task.cycles, 1),
     )
-
-
-def obstacles(physics: Physics, scene: Scene, seconds: float) -> np.ndarray:
-    """Return what is told only to a planner that `sees_all`: obstacles (m, 2d + 1), in its frame.
-
-    Each row is an obstacle's centre (d), m, its radius, m, and how far it moves in a cycle of `seconds`
-    (d), m.
-    """
-    d, frame = scene.place.dimension, physics.planning_frame()
-    centres = scene.centres + physics.data.time * scene.velocities
-    drift = scene.velocities * seconds
-    rows = [
-        ((centres - physics.com()) @ frame)[:, :d],
-        scene.radii[:, None],
-        (drift @ frame)[:, :d],
-    ]
-    return np.concatenate(rows, axis=1)
 
 
 def evaluate(

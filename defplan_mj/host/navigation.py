@@ -24,10 +24,11 @@ from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.planning.outcome import Outcome
 from defplan_mj.planning.robot import Robot
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from defplan_mj.task import Navigation
 
 COLLISION_PENALTY = 1000.0  # Eq. 2
+USUAL, IN_PLACES = 32, 160  # obstacles of a drawn scene, at most: beside the way, of a place
 _LEAN, _SUNK = 0.5, 0.5  # a fall: cosine of the up axis' tilt, and share of the standing height
 
 SceneSampler = Callable[[np.random.RandomState], Scene]
@@ -196,7 +197,9 @@ class Navigate(base.Task):
         """Return 'state', 'target' and 'laser', see `reduced_observation`; 'obstacles' if it tells them."""
         observation = reduced_observation(physics, physics.target())
         if self.tells_obstacles:
-            observation["obstacles"] = true_obstacles(physics, self._here())
+            observation["obstacles"] = true_obstacles(
+                physics, self._here(), self.gait.cycle_seconds
+            )
         return observation
 
     def _here(self) -> Scene:
@@ -238,11 +241,15 @@ def reduced_observation(
     return observation
 
 
-def true_obstacles(physics: Physics, scene: Scene) -> np.ndarray:
-    """Return the obstacles (n, d + 1) of a scene now: centres in the robot's frame and radii, m."""
-    centres = scene.centres + physics.time() * scene.velocities
-    local = (centres - physics.com()) @ physics.planning_frame()
-    return np.column_stack([local[:, : scene.place.dimension], scene.radii])
+def true_obstacles(physics: Physics, scene: Scene, seconds: float) -> np.ndarray:
+    """Return the obstacles (n, 2 d + 1) of a scene now, in the robot's frame.
+
+    Each row is a centre (d), m, a radius, m, and how far it moves in a cycle of `seconds` (d), m.
+    """
+    d, frame = scene.place.dimension, physics.planning_frame()
+    centres = scene.centres + physics.time() * scene.velocities - physics.com()
+    drift = seconds * scene.velocities
+    return np.hstack([(centres @ frame)[:, :d], scene.radii[:, None], (drift @ frame)[:, :d]])
 
 
 def _tilt(physics: Physics) -> np.ndarray:
@@ -277,7 +284,7 @@ def navigation_environment(
     feedback: Feedback | None = None,
     time_limit: float = float("inf"),
     random: np.random.RandomState | int | None = None,
-    max_obstacles: int = 32,
+    max_obstacles: int | None = None,
     texture: np.ndarray | None = None,
     environment_kwargs: dict | None = None,
 ) -> control.Environment:
@@ -290,7 +297,7 @@ def navigation_environment(
         scene: keep to this one; later ones are set as `env.task.scene`.
         feedback: prepared for this gait; None: open loop.
         time_limit: s; a scene's own max_cycles holds anyway.
-        max_obstacles: room for the obstacles of a scene.
+        max_obstacles: room for the obstacles of a scene; None: as many as drawn scenes may have.
         texture: of the skin, see `skin.add_skin`.
 
     Raises:
@@ -306,6 +313,8 @@ def navigation_environment(
             f"the gait asks for larger target shapes than the body {body.name} is made for"
             f" ({np.array2string(body.amplitude)})"
         )
+    if max_obstacles is None:
+        max_obstacles = IN_PLACES if navigation.scenes else USUAL
     spec = build_spec(
         body,
         gait.timestep,

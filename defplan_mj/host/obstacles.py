@@ -10,7 +10,7 @@ import numpy as np
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.host.looks import DRAWN_HALF_HEIGHT, LOOKS, OBSTACLE_RGBA
 from defplan_mj.host.scene import PARKED, SOLID_HALF_HEIGHT, TARGET
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 
 
 def max_obstacles(model: Any) -> int:

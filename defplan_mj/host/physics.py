@@ -20,7 +20,7 @@ from defplan_mj.host.plugin import load_plugin
 from defplan_mj.host.scene import ROBOT, TARGET, TERRAIN, LaserNumbers, text_of
 from defplan_mj.kernel.library import kernel
 from defplan_mj.kernel.pack import unpack_options
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from defplan_mj.planning.sensors.sensor import sensor_of
 from defplan_mj.task import Navigation
 

@@ -25,7 +25,7 @@ from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.host.looks import LOOKS
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.scene import FLOOR_DEPTH, SUN, build_spec, compile_model, view_length
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 
 MAP = "map"  # sees the whole way from straight above, to scale
 OVERVIEW = "overview"  # sees the whole way from behind and above

@@ -76,7 +76,7 @@ def build_spec(
         timestep: of the reduced step, s.
         normalised_controls: ctrl in [-1, 1] is the target shape divided by `body.amplitude`; if
             false, ctrl is the target shape itself, within the amplitude.
-        max_obstacles: how many obstacles a planning.scenes.Scene may have here.
+        max_obstacles: how many obstacles a planning.scene.Scene may have here.
         beams, laser_range: of the laser scanner; range in m.
         space: 'planar' or 'spatial', see task.Navigation.
         sensor: by name; '': the laser of the space.

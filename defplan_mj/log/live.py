@@ -19,7 +19,7 @@ from defplan_mj.log import channels
 from defplan_mj.log.messages import scene_update
 from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.run_files import RunFiles
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 
 PORT = 8765
 """What the viewers suggest."""

@@ -20,7 +20,7 @@ from defplan_mj.base import rotations
 from defplan_mj.base.space import OF_DIMENSION, PLANE
 from defplan_mj.log import channels
 from defplan_mj.log.schemas import WORLD_FRAME
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from defplan_mj.planning.sensors.laser import Laser
 from defplan_mj.planning.sensors.sensor import sensor_of
 from defplan_mj.task import Navigation

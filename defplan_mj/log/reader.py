@@ -28,7 +28,7 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.kernel.pack import MAX_SUBSTEPS
 from defplan_mj.log import bounds, channels, schemas, validate
 from defplan_mj.log.messages import contacts_of
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from defplan_mj.planning.surrogate import Surrogate
 
 _MAGIC = b"\x89MCAP0\r\n"

@@ -29,7 +29,7 @@ from defplan_mj.log.messages import (
     scene_update,
 )
 from defplan_mj.log.run_files import RunFiles
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from defplan_mj.task import Navigation
 
 if TYPE_CHECKING:

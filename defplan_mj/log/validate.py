@@ -12,7 +12,7 @@ from defplan_mj.base.space import OF_OBSTACLE
 from defplan_mj.kernel.pack import INTEGRATORS
 from defplan_mj.log import channels
 from defplan_mj.planning.outcome import ENDINGS
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 
 if TYPE_CHECKING:
     from defplan_mj.gait.gait import Gait

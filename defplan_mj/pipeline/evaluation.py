@@ -105,5 +105,5 @@ MOVING = Stage(
     load=lambda run: read_json(run.file(MOVING_FILE), "evaluation")["moving"],
     figures=lambda run: run.result("moving"),
     sections=("success",),
-    included=lambda run: run.plan.options.moving > 0,
+    included=lambda run: run.plan.options.moving > 0 and not run.plan.spec.navigation.scenes,
 )

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from defplan_mj.pipeline.run import Run
     from defplan_mj.planning.planner import Planner
     from defplan_mj.planning.robot import Robot
-    from defplan_mj.planning.scenes import Scene
+    from defplan_mj.planning.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def evaluate(
 def _scenes(
     run: Run, scenes: str, episodes: int | None, obstacles: int | None, speed: float
 ) -> list[Scene]:
-    from defplan_mj.planning.outcome import PLACES
+    from defplan_mj.base.places import PLACES
     from defplan_mj.planning.places import place_scenes
     from defplan_mj.planning.scenes import k2_scenes, novel_scenes
 

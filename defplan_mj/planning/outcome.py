@@ -23,13 +23,3 @@ RUNNING, SUCCESS, COLLISION, FALL, TIMEOUT = range(len(Outcome))
 
 SCENES = {"k2": "training targets", "novel": "unseen scenes"}
 """What the kinds of scenes of an evaluation are called for people."""
-
-PLACES = {
-    "field-20": "20 cylinders, a way through between any two",
-    "field-40": "40 cylinders, a way through between any two",
-    "pockets": "two pockets that are open to where the robot comes from",
-    "gates": "two walls, each with a gate as wide as the robot and a half",
-    "maze": "rows of boxes, and lanes between them",
-    "tunnel": "a bending tunnel, closed behind the start",
-}
-"""Named scenes that are harder (`planning.places`), and what they are."""

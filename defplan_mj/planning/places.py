@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.places import PLACES, check_place
 from defplan_mj.base.rotations import level_attitude
-from defplan_mj.planning.outcome import PLACES
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import FAR, Scene, SceneBatch
 from defplan_mj.task import Navigation
 
 _STREAM = 120  # first word of the seeds; a place's number is the second
@@ -122,43 +122,56 @@ _LAYOUTS: dict[str, Layout] = {
 }
 
 
+def place_batch(
+    name: str,
+    navigation: Navigation,
+    generator: np.random.Generator,
+    radius: float,
+    bearings: np.ndarray,
+    headings: np.ndarray,
+    distances: np.ndarray,
+) -> SceneBatch:
+    """Return scenes of a named place, the robot heading along the tunnel, if it is one.
+
+    Args:
+        radius: of the disc that holds the robot, m: gates, lanes and tunnels are as wide as it asks for.
+        bearings, headings: (n,) direction of the target and of the robot at the start, rad.
+        distances: (n,) of the targets, m.
+    """
+    along = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    parts = [_LAYOUTS[name](generator, distance, 2 * radius) for distance in distances]
+    n, most = len(parts), max(len(radii) for _, radii in parts)
+    centres, radii = np.full((n, most, 2), FAR), np.zeros((n, most))
+    for i, ((x, y), (places, sizes)) in enumerate(zip(along, parts, strict=True)):
+        centres[i, : len(sizes)] = places @ np.array([[x, y], [-y, x]])
+        radii[i, : len(sizes)] = sizes
+    return SceneBatch(
+        targets=distances[:, None] * along,
+        orientations=level_attitude(bearings if name == "tunnel" else headings),
+        centres=centres,
+        radii=radii,
+        velocities=np.zeros_like(centres),
+        goal_radius=navigation.goal_radius,
+        max_cycles=navigation.max_cycles,
+    )
+
+
 def place_scenes(
     name: str, navigation: Navigation, n: int, seed: int, radius: float
 ) -> list[Scene]:
     """Return n scenes of a named place; targets lie in any direction, the start heads anywhere.
 
-    In a tunnel the robot starts along it.
-
     Args:
-        radius: of the disc that holds the robot, m: gates, lanes and tunnels are as wide as it asks for.
+        radius: see `place_batch`.
 
     Raises:
         DefplanError: there is no such place, or the task is not of the plane.
     """
-    if name not in PLACES:
-        raise DefplanError(f"there are no scenes {name!r}: take {', '.join(PLACES)}")
-    if navigation.dimension != 2:
-        raise DefplanError(f"the scenes {name} are of the plane, this task navigates in space")
+    check_place(name, navigation.dimension)
     if n < 1:
         raise DefplanError(f"an evaluation needs at least 1 episode, not {n}")
     generator = np.random.default_rng([_STREAM, list(PLACES).index(name), seed])
-    scenes = []
-    for index in range(n):
-        bearing, heading = generator.uniform(-np.pi, np.pi, 2)
-        heading = bearing if name == "tunnel" else heading
-        centres, radii = _LAYOUTS[name](generator, navigation.distance, 2 * radius)
-        turn = np.array([[np.cos(bearing), -np.sin(bearing)], [np.sin(bearing), np.cos(bearing)]])
-        flat = np.zeros((len(radii), 1))
-        scenes.append(
-            Scene(
-                target=np.array([*(turn @ [navigation.distance, 0.0]), 0.0]),
-                centres=np.hstack([centres @ turn.T, flat]),
-                radii=radii,
-                velocities=np.zeros((len(radii), 3)),
-                orientation=level_attitude(heading),
-                goal_radius=navigation.goal_radius,
-                max_cycles=navigation.max_cycles,
-                meta={"kind": name, "seed": seed, "index": index},
-            )
-        )
-    return scenes
+    bearings, headings = generator.uniform(-np.pi, np.pi, (2, n))
+    distances = np.full(n, navigation.distance)
+    batch = place_batch(name, navigation, generator, radius, bearings, headings, distances)
+    return batch.scenes([{"kind": name, "seed": seed, "index": i} for i in range(n)])

@@ -17,8 +17,8 @@ Observation = Mapping[str, np.ndarray]
 """'laser' (beams,) m; 'target' (3,) m, of which the first d count; 'state' reduced state. All in the
 robot's frame: the yaw frame of planar tasks (d = 2), the body frame of those in space (d = 3). In the
 shield there is 'safe' (K,), too: which gaits it lets pass; the planner's best of these is done; and
-'drift' (p, d): how far the reading's points move in a cycle, m (`planning.tracking`). A planner with an
-attribute `sees_all` that is true is also told 'obstacles' (`host.evaluation.obstacles`): a bound, which
+'drift' (p, d): how far the reading's points move in a cycle, m (`planning.tracking`). A planner that says
+`needs_obstacles = True` is also told 'obstacles' (`host.navigation.true_obstacles`): a bound or a peer, which
 knows what a robot cannot know."""
 
 
@@ -31,8 +31,9 @@ def carried_out(values: np.ndarray, observation: Observation) -> int:
 def needs_obstacles(planner: Planner) -> bool:
     """Return whether a planner is to be told all obstacles: it says so by `needs_obstacles = True`.
 
-    Its observations then have 'obstacles' (n, d + 1): centres in the robot's frame and radii, m, as they truly
-    are. That is no robot that only senses: such planners are peers and bounds for those that do.
+    Its observations then have 'obstacles' (n, 2 d + 1): centres in the robot's frame, radii, and how far they
+    move in a cycle, m, as they truly are. That is no robot that only senses: such planners are peers and
+    bounds for those that do.
     """
     return bool(getattr(planner, "needs_obstacles", False))
 

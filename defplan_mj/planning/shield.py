@@ -43,7 +43,6 @@ class Shield:
         levels: tuple[tuple[int, float], ...] = LEVELS,
     ) -> None:
         self.planner, self.levels = planner, levels
-        self.sees_all = getattr(planner, "sees_all", False)
         self.radius, self.dimension = surrogate.radius, navigation.dimension
         deepest = max(depth for depth, _ in levels)
         motions = surrogate.switched_motions(navigation.space)

@@ -14,7 +14,7 @@ import numpy as np
 
 from defplan_mj.planning.frames import angles, attitude_frames, renewed, turns
 from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS, TIMEOUT
-from defplan_mj.planning.scenes import SceneBatch
+from defplan_mj.planning.scene import SceneBatch
 from defplan_mj.planning.sensors.sensor import sensor_of
 from defplan_mj.planning.surrogate import Motions, Surrogate
 from defplan_mj.task import Navigation

@@ -28,7 +28,8 @@ from defplan_mj.host.navigation import robot_environment
 from defplan_mj.kernel import library
 from defplan_mj.planning.outcome import Outcome
 from defplan_mj.planning.robot import Robot
-from defplan_mj.planning.scenes import Scene, novel_scenes, training_scenes
+from defplan_mj.planning.scene import Scene
+from defplan_mj.planning.scenes import novel_scenes, training_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv
 from defplan_mj.studies.bench_integrators import error_against_time, integrators

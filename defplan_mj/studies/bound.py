@@ -8,13 +8,15 @@ from typing import Any
 
 from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.places import PLACES
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.host.evaluation import evaluate
-from defplan_mj.planning.outcome import ENDINGS, PLACES
+from defplan_mj.planning.outcome import ENDINGS
 from defplan_mj.planning.places import place_scenes
 from defplan_mj.planning.planner import Planner
 from defplan_mj.planning.robot import Robot
-from defplan_mj.planning.scenes import Scene, k2_scenes, novel_scenes
+from defplan_mj.planning.scene import Scene
+from defplan_mj.planning.scenes import k2_scenes, novel_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
 

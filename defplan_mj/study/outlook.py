@@ -10,6 +10,7 @@ from pathlib import Path
 from defplan_mj.pipeline.plan import RunOptions
 from defplan_mj.pipeline.store import read_config, stage_seconds
 from defplan_mj.study.matrix import Cell
+from defplan_mj.taskfile.find import find_task
 
 _ORDER = {
     "gait": ("body", "gait"),
@@ -66,7 +67,8 @@ def prospects(cells: Sequence[Cell], root: Path, logs: Path) -> list[Prospect]:
 
 
 def _stages(cell: Cell) -> list[str]:
-    moving = cell.options.get("moving", _DEFAULTS.moving)
+    moves = not find_task(cell.source).navigation.scenes  # obstacles of a place stand
+    moving = moves and cell.options.get("moving", _DEFAULTS.moving)
     return [stage for stage in _ORDER[cell.until] if stage != "moving" or moving]
 
 

@@ -35,8 +35,8 @@ from defplan_mj.report.sections.surrogate import table_three
 from defplan_mj.study.claims import CLAIMS, Robot, open_loop
 from defplan_mj.study.findings import Findings
 from defplan_mj.study.measures import measured
-from defplan_mj.study.rows import mean
-from defplan_mj.study.sections import moving
+from defplan_mj.study.rows import mean, rate
+from defplan_mj.study.sections import moving, share
 from defplan_mj.study.table import Row
 from defplan_mj.taskfile.find import find_task
 
@@ -45,7 +45,11 @@ PLANNERS = ("learned", "memoryless", "sampling", "bound", "recipe")
 
 def sections(findings: Findings) -> list[Section]:
     """Return the sections on the paper; what a run did not leave is named."""
-    robots = [_robot(findings, source) for source in findings.study.tasks]
+    open_water: list[str] = []
+    places: list[str] = []
+    for source in findings.study.tasks:
+        (places if find_task(source).navigation.scenes else open_water).append(source)
+    robots = [_robot(findings, source) for source in open_water]
     return [
         _claims(findings, robots),
         _table_one(robots),
@@ -54,11 +58,7 @@ def sections(findings: Findings) -> list[Section]:
         _figure_four(findings, robots),
         _figure_five(findings, robots),
         _figure_six(findings, robots),
-        Section(
-            "figure-7",
-            "Figure 7: a tunnel",
-            [Missing("The paper's fish swims through a tunnel; this study has no such scene.")],
-        ),
+        _figure_seven(findings, places),
     ]
 
 
@@ -256,6 +256,45 @@ def _figure_six(findings: Findings, robots: Sequence[Robot]) -> Section:
                     )
                 )
     return section
+
+
+def _figure_seven(findings: Findings, places: Sequence[str]) -> Section:
+    """Return how the robot fares in scenes that its gaits were not made for."""
+    title = "Figure 7: a tunnel"
+    rows: list[list[str]] = []
+    blocks: list[Block] = []
+    for source in places:
+        spec = find_task(source)
+        own = [row for row in findings.good if row["task"] == spec.name]
+        for planner in dict.fromkeys(row["planner"] for row in own):
+            mine = [row for row in own if row["planner"] == planner]
+            figures = [
+                rate(mine, f"{kind}_success", f"{kind}_episodes")
+                for kind in ("k2", "novel", "novel_unchecked")
+            ]
+            told = [share(figure) if figure else "–" for figure in figures]
+            rows.append([spec.name, planner, spec.navigation.scenes, *told])
+        if own and (logs := _logs(findings.root / own[0]["folder"])):
+            drawn = [drawing(figure) for figure in overview_figures(logs)]
+            blocks.append(
+                Figures(drawn, f"{spec.name}: {len(logs)} logged episodes, as in Fig. 7.")
+            )
+    if not rows:
+        missing = "The paper's fish swims through a tunnel; this study has no run in such scenes."
+        return Section("figure-7", title, [Missing(missing)])
+    columns = [
+        "robot",
+        "planner",
+        "scenes",
+        "training targets",
+        "unseen scenes",
+        "without the check",
+    ]
+    caption = (
+        "Scenes that the gaits were not made for: only the planner is trained anew, the CNN end to end. With the "
+        "collision check, and unseen scenes without it."
+    )
+    return Section("figure-7", title, [Table(columns, rows, caption), *blocks])
 
 
 def _logs(folder: Path) -> list[EpisodeLog]:

@@ -12,6 +12,7 @@ from dataclasses import MISSING, dataclass
 from functools import cache
 from typing import Any
 
+from defplan_mj.base.places import PLACES
 from defplan_mj.base.space import SPACES
 from defplan_mj.body.model import LIMITS, Material, Medium
 from defplan_mj.body.options import AXES, BodyOptions
@@ -183,6 +184,8 @@ BOUNDS: dict[type, dict[str, Bound]] = {
         "beams": _from(1),
         "laser_range": _POSITIVE,
         "space": _one_of(*SPACES),
+        "scenes": _one_of("", *PLACES),
+        "room": _POSITIVE,
     },
 }
 """What the values of a class' fields have to be, besides being of their type and finite."""

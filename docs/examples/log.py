@@ -16,7 +16,7 @@ from defplan_mj.gait.gait import Gait
 from defplan_mj.log.reader import EpisodeLog, read_log
 from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.run_files import RunFiles
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from defplan_mj.registry import get_task
 
 OPEN_WATER = Scene(np.array([10.0, 0, 0]), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))

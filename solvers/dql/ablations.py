@@ -17,7 +17,8 @@ from defplan_mj import registry
 from defplan_mj.base.progress import no_progress
 from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.outcome import SUCCESS, TIMEOUT
-from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes
+from defplan_mj.planning.scene import SceneBatch
+from defplan_mj.planning.scenes import k2_scenes, novel_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv, run_all
 from defplan_mj.task import Navigation

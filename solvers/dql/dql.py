@@ -19,6 +19,7 @@ from defplan_mj.planning.planner import Observation, Planner, TrainResult
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.tracking import Tracker
 from defplan_mj.task import Navigation
+from defplan_solvers.dql.beams import FEATURES, BeamFilters, softplus
 from defplan_solvers.policy_files import load_policy, save_policy
 from defplan_solvers.search.loops import LoopBreaker
 
@@ -30,16 +31,28 @@ class QNetwork:
     Attributes:
         weights: of each layer, (outputs, inputs).
         biases: of each layer, (outputs,).
+        beams: what sees the proximities of the beams, which the features begin with; None: the first layer.
     """
 
     weights: tuple[np.ndarray, ...]
     biases: tuple[np.ndarray, ...]
+    beams: BeamFilters | None = None
+
+    @property
+    def inputs(self) -> int:
+        """How many features it takes."""
+        first = self.weights[0].shape[1]
+        return first if self.beams is None else first - FEATURES + self.beams.count
 
     def __call__(self, inputs: np.ndarray) -> np.ndarray:
         """Return the (..., K) values of (..., inputs) features."""
         hidden = inputs
+        if self.beams is not None:
+            flat, n = inputs.reshape(-1, inputs.shape[-1]), self.beams.count
+            hidden = np.hstack([self.beams(flat[:, :n]), flat[:, n:]])
+            hidden = hidden.reshape(*inputs.shape[:-1], -1)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            hidden = np.logaddexp(hidden @ weight.T + bias, np.float32(0))
+            hidden = softplus(hidden @ weight.T + bias)
         return hidden @ self.weights[-1].T + self.biases[-1]
 
 
@@ -80,13 +93,18 @@ class DqlPlanner:
 
 
 class DqlSolver:
-    """The planner plugin `dql`."""
+    """The planner plugins `dql` and `dql-cnn`.
+
+    Args:
+        convolutions: the paper's CNN sees the beams, trained with all else, end to end.
+    """
 
     kind = "planner"
-    name = "dql"
-    summary = "deep Q-learning on the surrogate (stable-baselines3), many varied scenes at once"
     needs_training = True
-    default = True
+
+    def __init__(self, name: str, summary: str, convolutions: bool = False) -> None:
+        self.name, self.summary, self.convolutions = name, summary, convolutions
+        self.default = not convolutions
 
     def train(
         self,
@@ -110,7 +128,10 @@ class DqlSolver:
 
         started = time.perf_counter()
         limit = float("inf") if seconds is None else seconds
-        network, curves, meta = train(surrogate, navigation, seed, Recipe(), limit, progress)
+        recipe = Recipe()
+        if self.convolutions:  # dearer by as much as these two figures are less
+            recipe = Recipe(convolutions=True, transitions=200_000, batch=256)
+        network, curves, meta = train(surrogate, navigation, seed, recipe, limit, progress)
         planner = DqlPlanner(network, surrogate, navigation, meta)
         spent = time.perf_counter() - started
         return TrainResult(planner, curves, spent, meta["stopped_early"])
@@ -122,6 +143,8 @@ class DqlSolver:
         network = planner.network
         for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
             arrays[f"weight{i}"], arrays[f"bias{i}"] = weight, bias
+        if network.beams is not None:
+            arrays |= network.beams.arrays()
         meta = {
             "layers": len(network.weights),
             "task_names": list(planner.task_names),
@@ -138,21 +161,26 @@ class DqlSolver:
         """
         arrays, meta = load_policy(path, self.name, surrogate.task_names)
         with files.fields_of(path, "policy"):
-            network = _network(arrays, meta["layers"], len(surrogate.task_names))
+            beams = None
+            if self.convolutions:
+                beams = BeamFilters.take(arrays, navigation)
+            network = _network(arrays, meta["layers"], len(surrogate.task_names), beams)
             reach = float(meta["laser_range"])
             if not 0.0 < reach < np.inf:
                 raise ValueError("laser_range must be positive")
             trained = replace(navigation, laser_range=reach)
             planner = DqlPlanner(network, surrogate, trained, dict(meta["training"]))
-        if network.weights[0].shape[1] != planner.senses.size:
+        if network.inputs != planner.senses.size:
             raise DefplanError(
-                f"{path} wants {network.weights[0].shape[1]} inputs, this task's laser, target and"
+                f"{path} wants {network.inputs} inputs, this task's laser, target and"
                 f" gaits give {planner.senses.size}: train the planner anew"
             )
         return planner
 
 
-def _network(arrays: dict[str, np.ndarray], layers: int, gaits: int) -> QNetwork:
+def _network(
+    arrays: dict[str, np.ndarray], layers: int, gaits: int, beams: BeamFilters | None
+) -> QNetwork:
     """Return the network of a file. Raises ValueError or KeyError: its layers do not fit."""
     if len(arrays) != 2 * layers or layers < 1:
         raise ValueError(f"{len(arrays)} arrays are not those of {layers} layers")
@@ -165,7 +193,12 @@ def _network(arrays: dict[str, np.ndarray], layers: int, gaits: int) -> QNetwork
         size = len(weight)
     if size != gaits:
         raise ValueError(f"it values {size} gaits, there are {gaits}")
-    return QNetwork(weights, biases)
+    return QNetwork(weights, biases, beams)
 
 
-SOLVER = DqlSolver()
+SOLVER = DqlSolver(
+    "dql", "deep Q-learning on the surrogate (stable-baselines3), many varied scenes at once"
+)
+CNN = DqlSolver(
+    "dql-cnn", "as dql, with the paper's CNN over the beams, trained end to end", convolutions=True
+)

@@ -8,70 +8,22 @@ from dataclasses import asdict
 
 import numpy as np
 import torch
-from scipy.optimize import linear_sum_assignment
 from torch import nn
 from torch.nn import functional
 
 from defplan_mj.base.progress import Progress
-from defplan_mj.base.space import SPACES
 from defplan_mj.planning.outcome import SUCCESS
-from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes, training_scenes
-from defplan_mj.planning.sensors.laser import beam_directions, laser_of
+from defplan_mj.planning.scene import SceneBatch
+from defplan_mj.planning.scenes import k2_scenes, novel_scenes, training_scenes
+from defplan_mj.planning.sensors.laser import laser_of
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
+from defplan_solvers.dql.beams import FEATURES
+from defplan_solvers.dql.laser_cnn import LaserCnn
 from defplan_solvers.dql.paper import PaperConfiguration
 
-WIDTHS = (8, 4, 4)  # of the CNN's filters
-FEATURES = 32  # of the CNN
 NEAREST = 2  # obstacles whose positions the CNN learns to tell
-
-
-def taps(beams: int, space: str, width: int) -> np.ndarray:
-    """Return the (beams, width) beams that a filter of `width` weights looks at around each beam.
-
-    On the circle these are the beam and those to its left. On the sphere they are its neighbours, all
-    different, that fit best on a small sunflower around it, as dense as the beams and turned with the
-    meridian, so that a weight means about the same direction everywhere but at the poles.
-    """
-    if SPACES[space].level:
-        return (np.arange(beams)[:, None] + np.arange(width)) % beams
-    directions = beam_directions(beams, space)
-    east = np.column_stack([-directions[:, 1], directions[:, 0], np.zeros(beams)])
-    east /= np.linalg.norm(east, axis=1, keepdims=True)
-    north = np.cross(directions, east)
-    j = np.arange(width)
-    # A disc of j beams' solid angle, j 4 pi / beams, has this radius (rad).
-    away, angle = 2 * np.sqrt(j / beams), np.pi * (3 - np.sqrt(5)) * j
-    places = directions[:, None] * np.cos(away)[:, None]
-    places = places + east[:, None] * (np.sin(away) * np.cos(angle))[:, None]
-    places = places + north[:, None] * (np.sin(away) * np.sin(angle))[:, None]
-    return np.array([linear_sum_assignment(fit, maximize=True)[1] for fit in places @ directions.T])
-
-
-class LaserCnn(nn.Module):
-    """The paper's CNN: 16 filters of width 8, 16 of 4, 16 of 4, then 32 features; BNLL units.
-
-    A filter is laid around every beam (see `taps`), on a circle or a sphere of beams alike.
-    """
-
-    def __init__(self, beams: int, space: str, laser_range: float) -> None:
-        super().__init__()
-        self.laser_range = laser_range
-        # What a filter looks at is gathered side by side, so it takes a stride of its width.
-        self.filters = nn.ModuleList(
-            nn.Conv1d(1 if i == 0 else 16, 16, width, stride=width)
-            for i, width in enumerate(WIDTHS)
-        )
-        self.looks = [torch.from_numpy(taps(beams, space, width).ravel()) for width in WIDTHS]
-        self.dense = nn.Linear(16 * beams, FEATURES)
-
-    def forward(self, laser: torch.Tensor) -> torch.Tensor:
-        """Return (n, 32) features of (n, beams) distances, m."""
-        x = 1 - laser[:, None] / self.laser_range
-        for look, filters in zip(self.looks, self.filters, strict=True):
-            x = functional.softplus(filters(x[..., look]))
-        return functional.softplus(self.dense(x.flatten(1)))
 
 
 class PaperNetwork(nn.Module):

@@ -14,18 +14,20 @@ import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnv
 
 from defplan_mj.base.progress import Progress
 from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS, TIMEOUT
+from defplan_mj.planning.scene import SceneBatch
 from defplan_mj.planning.scenes import (
-    SceneBatch,
     k2_scenes,
     training_scenes,
     validation_scenes,
     validation_targets,
 )
+from defplan_mj.planning.sensors.laser import laser_of
 from defplan_mj.planning.shield import LEVELS
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import (
@@ -35,7 +37,9 @@ from defplan_mj.planning.surrogate_env import (
     run_all,
 )
 from defplan_mj.task import Navigation
+from defplan_solvers.dql.beams import FEATURES
 from defplan_solvers.dql.dql import QNetwork
+from defplan_solvers.dql.laser_cnn import LaserCnn
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,7 @@ class Recipe:
         margin: what the disc is larger in training than the surrogate's, m. It is the shield's: where
             the planner wants to pass and the shield does not let it, the robot would be stuck.
         hidden: units of each hidden layer.
+        convolutions: the paper's CNN sees the beams.
         batch, buffer, learning_rate, discount, n_steps: of DQN. The buffer holds the whole
             training: one that forgets early collisions unlearns to avoid them.
         target_steps: updates between two copies to the target network.
@@ -73,6 +78,7 @@ class Recipe:
     noise: float = 1.0
     margin: float = LEVELS[0][1]
     hidden: tuple[int, ...] = (64, 64, 64)
+    convolutions: bool = False
     batch: int = 512
     buffer: int = 300_000
     learning_rate: float = 1e-3
@@ -132,6 +138,13 @@ def train(
 
 
 def _build(env: _Robots, seed: int, recipe: Recipe) -> _RobotsDQN:
+    network: dict[str, Any] = {
+        "net_arch": list(recipe.hidden),
+        "activation_fn": torch.nn.Softplus,
+    }
+    if recipe.convolutions:
+        network["features_extractor_class"] = _SeeingBeams
+        network["features_extractor_kwargs"] = {"navigation": env.robots.navigation}
     return _RobotsDQN(
         "MlpPolicy",
         env,
@@ -148,7 +161,7 @@ def _build(env: _Robots, seed: int, recipe: Recipe) -> _RobotsDQN:
         exploration_initial_eps=recipe.explore_first,
         exploration_final_eps=0.0,
         exploration_fraction=recipe.explore_share,
-        policy_kwargs={"net_arch": list(recipe.hidden), "activation_fn": torch.nn.Softplus},
+        policy_kwargs=network,
         seed=seed,
         device="cpu",
     )
@@ -276,6 +289,7 @@ class _Checkpoints(BaseCallback):
                 *(
                     validation_scenes(navigation, recipe.moving // 2, seed + 1 + i, speed)
                     for i, speed in enumerate(np.array([0.5, 1.0]) * recipe.fastest)
+                    if not navigation.scenes  # there, all obstacles stand
                 ),
             ]
         )
@@ -321,7 +335,7 @@ class _Checkpoints(BaseCallback):
             "k2_reward_max": reward.max(),
             "k2_success": k2.mean(),
             "novel_success": standing.mean(),
-            "moving_success": moving.mean(),
+            **({"moving_success": moving.mean()} if len(moving) else {}),
             "validation_score": score,
             "validation_score_averaged": averaged_score,
         }
@@ -345,10 +359,26 @@ class _Checkpoints(BaseCallback):
         return runs, float(score)
 
 
+class _SeeingBeams(BaseFeaturesExtractor):
+    """The paper's CNN over the proximities of the beams; the other features as they are."""
+
+    def __init__(self, space: gymnasium.spaces.Box, navigation: Navigation) -> None:
+        laser_of(navigation)  # it looks at beams
+        self.beams = navigation.beams
+        super().__init__(space, space.shape[0] - self.beams + FEATURES)
+        self.cnn = LaserCnn(self.beams, navigation.space, navigation.laser_range)
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        seen = self.cnn.see(features[:, : self.beams])
+        return torch.cat([seen, features[:, self.beams :]], 1)
+
+
 def _network(q_net: Any) -> QNetwork:
     """Return the NumPy copy of a stable-baselines3 Q network."""
+    seeing = q_net.features_extractor
     layers: Sequence[Any] = [m for m in q_net.q_net if isinstance(m, torch.nn.Linear)]
     return QNetwork(
         tuple(layer.weight.detach().numpy().copy() for layer in layers),
         tuple(layer.bias.detach().numpy().copy() for layer in layers),
+        seeing.cnn.frozen() if isinstance(seeing, _SeeingBeams) else None,
     )

@@ -40,7 +40,7 @@ class AstarMapPlanner:
     def values(self, observation: Observation) -> np.ndarray:
         """Return (K,) minus the cycles that are left after each gait, the plan's gait first."""
         target = observation["target"][: self.dimension]
-        obstacles = told_obstacles(observation, NAME)
+        obstacles = told_obstacles(observation, NAME)[:, : self.dimension + 1]
         points = surface_points(obstacles, SPACING, HORIZON + 3)
         values = -self.outlook.after_each(target)
         for margin in MARGINS:

@@ -12,7 +12,8 @@ _GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
 def told_obstacles(observation: Observation, name: str) -> np.ndarray:
-    """Return the obstacles (n, d + 1) of an observation: centres in the robot's frame and radii, m.
+    """Return the obstacles (n, 2 d + 1) of an observation: centres in the robot's frame, radii, and how far
+    they move in a cycle, m.
 
     Raises:
         DefplanError: it has none: it is not of a scene that tells them.

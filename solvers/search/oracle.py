@@ -9,6 +9,7 @@ from defplan_mj.planning.planner import Observation, carried_out
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.tracking import Balls
 from defplan_mj.task import Navigation
+from defplan_solvers.search.full_map import told_obstacles
 from defplan_solvers.search.space_time import SpaceTime
 from defplan_solvers.search.untrained import UntrainedSolver
 
@@ -20,10 +21,10 @@ class OraclePlanner:
     """A bound for planners that see a laser only: no robot of these motions knows more.
 
     It searches in place and time, anew at every cycle, with the true positions and velocities of all
-    obstacles, which an evaluation tells it and no other planner.
+    obstacles, which an evaluation tells it.
     """
 
-    sees_all = True
+    needs_obstacles = True
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
         self.search, self.d = SpaceTime(surrogate, navigation), navigation.dimension
@@ -36,7 +37,7 @@ class OraclePlanner:
     def values(self, observation: Observation) -> np.ndarray:
         """Return (K,) minus the cycles that are left after each gait, the way's first gait first."""
         target, d = observation["target"][: self.d], self.d
-        told = observation["obstacles"]
+        told = told_obstacles(observation, "oracle")
         balls = Balls(told[:, :d], told[:, d], told[:, d + 1 :])
         values = -self.search.outlook.after_each(target)
         gait = self.search.first_gait(balls, target, self.odometry.gait, MARGINS)

@@ -44,7 +44,7 @@ class RrtPlanner:
     def values(self, observation: Observation) -> np.ndarray:
         """Return (K,) minus the cycles that are left after each gait, the way's first gait first."""
         target = observation["target"][: self.dimension]
-        obstacles = told_obstacles(observation, NAME)
+        obstacles = told_obstacles(observation, NAME)[:, : self.dimension + 1]
         values = -self.outlook.after_each(target)
         if not self._holds(obstacles, target):
             self.way = self._look(obstacles, target)

@@ -85,7 +85,9 @@ def test_what_steers_a_terminal_never_reaches_it(capsys, monkeypatch):
     for text in (captured.out, captured.err):
         assert not set(text) & {"\x1b", "\x07", "\r", "\x9b", "‮", "\ud800", "\x7f"}
         assert "a\\x1b[2J\\x07\\r" in text
-    assert captured.err.splitlines()[-1].startswith("defplan: failed a\\x1b[2J\\x07\\r\\n\\x9b31m")
+    assert captured.err.splitlines()[-1].startswith(
+        "defplan list: failed a\\x1b[2J\\x07\\r\\n\\x9b31m"
+    )
 
 
 def test_a_json_result_is_ascii(capfd):
@@ -157,7 +159,7 @@ def test_whatever_a_stop_looks_like_it_is_told_as_one(capsys, monkeypatch):
     monkeypatch.setattr(commands, "list_installed", import_error)
     before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGALRM)
     assert cli.main(["list"]) == 143
-    assert capsys.readouterr().err == "defplan: stopped; run it again to go on\n"
+    assert capsys.readouterr().err == "defplan list: stopped; run it again to go on\n"
     assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGALRM)) == before
 
 

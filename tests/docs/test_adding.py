@@ -160,6 +160,11 @@ def test_report_section(tmp_path, monkeypatch):
     assert '<section id="greeting">' in page and "Hello from mine." in page
 
 
+def test_study(install, tmp_path):
+    install(registry.STUDIES, "mine", VALUE=tmp_path / "mine.toml")
+    assert registry.get_study("mine") == tmp_path / "mine.toml"
+
+
 def test_suite_domain(install):
     tasks = containers.TaggedTasks()
     install(registry.DOMAINS, "eel", SUITE=tasks)
@@ -170,7 +175,7 @@ def test_every_row_of_the_page_is_tried_here():
     table = PAGE[PAGE.index("## What adding touches") : PAGE.index("## A task")]
     rows = re.findall(r"^\| ([a-z ]+) \|", table, re.MULTILINE)
     tried = Path(__file__).read_text()
-    assert len(rows) == 12 and rows[0] == "to add"
+    assert len(rows) == 13 and rows[0] == "to add"
     for row in rows[1:]:
         assert f"def test_{row.replace(' ', '_')}(" in tried or f'"{row}"' in tried, row
 

@@ -9,7 +9,7 @@ from mujoco import rollout
 
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from tests.samples import host as samples
 
 GEOMS = {

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.rotations import level_attitude
 from defplan_mj.host.navigation import Navigate, navigation_environment
-from defplan_mj.planning.scenes import Scene, novel_scenes
+from defplan_mj.planning.scene import Scene
+from defplan_mj.planning.scenes import novel_scenes
 from defplan_mj.task import Navigation
 from tests.samples import host as samples
 

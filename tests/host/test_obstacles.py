@@ -10,7 +10,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.host.looks import DRAWN_HALF_HEIGHT, DRAWN_HEIGHT
 from defplan_mj.host.obstacles import max_obstacles
 from defplan_mj.host.scene import SOLID_HALF_HEIGHT
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from tests.samples import host as samples
 
 

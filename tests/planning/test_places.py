@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.planning.outcome import PLACES
+from defplan_mj.base.places import PLACES
 from defplan_mj.planning.places import place_scenes
 from defplan_mj.planning.tracking import Balls
 from defplan_mj.task import Navigation

@@ -7,12 +7,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.rotations import quaternion_heading
+from defplan_mj.planning.places import POST
+from defplan_mj.planning.scene import SceneBatch
 from defplan_mj.planning.scenes import (
-    SceneBatch,
     k2_scenes,
     novel_scenes,
     training_scenes,
     validation_scenes,
+    validation_targets,
 )
 from defplan_mj.task import Navigation
 
@@ -56,6 +59,35 @@ def test_k2_targets_in_space_are_a_poisson_disk_sample_of_the_seed():
     assert np.array_equal([scene.target for scene in crowded], [scene.target for scene in scenes])
     other = k2_scenes(SPATIAL, seed=4)
     assert not np.allclose(other[0].target, scenes[0].target)
+
+
+def test_where_a_task_navigates_in_tunnels_all_its_scenes_are_tunnels_and_no_two_kinds_share_one():
+    tunnel = Navigation(scenes="tunnel", room=0.6)
+    kinds = [
+        SceneBatch.of(k2_scenes(tunnel, 0)),
+        SceneBatch.of(novel_scenes(tunnel, 4, 0)),
+        training_scenes(tunnel, 4, 0),
+        validation_scenes(tunnel, 4, 0),
+        validation_targets(tunnel, 4, 0),
+    ]
+    for batch in kinds:
+        real = batch.radii > 0
+        assert np.all(batch.radii[real] == POST) and np.all(real.sum(1) > 30)
+        assert not batch.velocities.any()
+        heading = quaternion_heading(batch.orientations)
+        bearing = np.arctan2(batch.targets[:, 1], batch.targets[:, 0])
+        assert np.allclose(np.cos(heading - bearing), 1)  # along the tunnel
+        clear = np.linalg.norm(batch.centres, axis=2) - batch.radii
+        assert clear.min() > 0.6
+    ways = [tuple(np.round(np.linalg.norm(b.centres[0], axis=1)[:9], 6)) for b in kinds]
+    assert len(set(ways)) == len(ways)
+    for told in ({"obstacles": 3}, {"obstacle_speed": 1.0}):
+        with pytest.raises(DefplanError, match="obstacles of their own"):
+            novel_scenes(tunnel, 1, 0, **told)
+    with pytest.raises(DefplanError, match="no scenes 'swamp'"):
+        Navigation(scenes="swamp")
+    with pytest.raises(DefplanError, match="navigates in space"):
+        Navigation(scenes="maze", space="spatial")
 
 
 def test_obstacles_in_space_lie_all_around_the_way():

@@ -12,7 +12,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.log import channels
 from defplan_mj.log.messages import reading_message
 from defplan_mj.planning.observation import Senses
-from defplan_mj.planning.scenes import SceneBatch
+from defplan_mj.planning.scene import SceneBatch
 from defplan_mj.planning.sensors.laser import laser_of
 from defplan_mj.planning.sensors.sensor import reading_size, seen_points, sensor_of
 from defplan_mj.planning.shield import Shield

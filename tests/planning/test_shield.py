@@ -12,7 +12,8 @@ from defplan_mj.planning.frames import attitude_frames, turns
 from defplan_mj.planning.motion_tree import MotionTree
 from defplan_mj.planning.outcome import COLLISION
 from defplan_mj.planning.planner import Planner, carried_out
-from defplan_mj.planning.scenes import SceneBatch, novel_scenes
+from defplan_mj.planning.scene import SceneBatch
+from defplan_mj.planning.scenes import novel_scenes
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate_env import run_on_surrogate
 from defplan_mj.task import Navigation

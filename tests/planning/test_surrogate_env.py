@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.planning.frames import attitude_frames, random_attitudes, random_directions
 from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS, TIMEOUT
-from defplan_mj.planning.scenes import SceneBatch, novel_scenes, training_scenes
+from defplan_mj.planning.scene import SceneBatch
+from defplan_mj.planning.scenes import novel_scenes, training_scenes
 from defplan_mj.planning.sensors.laser import beam_directions
 from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate, scan
 from defplan_mj.task import Navigation

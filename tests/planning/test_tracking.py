@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from defplan_mj.planning.scenes import SceneBatch, novel_scenes
+from defplan_mj.planning.scene import SceneBatch
+from defplan_mj.planning.scenes import novel_scenes
 from defplan_mj.planning.surrogate_env import SurrogateEnv
 from defplan_mj.planning.tracking import Tracker
 from defplan_mj.task import Navigation

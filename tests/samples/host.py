@@ -14,7 +14,7 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import build_spec, compile_model
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from defplan_mj.task import TaskSpec
 from defplan_tasks import quadruped as quadruped_domain
 from defplan_tasks import tee as tee_domain

@@ -17,7 +17,7 @@ from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.gait.gait import Gait
 from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.run_files import RunFiles
-from defplan_mj.planning.scenes import Scene
+from defplan_mj.planning.scene import Scene
 from defplan_mj.planning.surrogate import Surrogate
 
 MODES = 2

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from defplan_mj.base.rotations import level_attitude
-from defplan_mj.planning.scenes import Scene, SceneBatch
+from defplan_mj.planning.scene import Scene, SceneBatch
 from defplan_mj.planning.surrogate import Surrogate
 
 

@@ -6,7 +6,8 @@ import pytest
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.planning.frames import attitude_frames
-from defplan_mj.planning.scenes import SceneBatch, novel_scenes
+from defplan_mj.planning.scene import SceneBatch
+from defplan_mj.planning.scenes import novel_scenes
 from defplan_mj.planning.sensors.laser import beam_directions
 from defplan_mj.planning.surrogate import Motions
 from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate

@@ -6,17 +6,21 @@ import itertools
 import numpy as np
 import pytest
 import torch
+from stable_baselines3.common.logger import Logger
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.planning.observation import Senses
 from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS
-from defplan_mj.planning.scenes import SceneBatch, k2_scenes, novel_scenes
+from defplan_mj.planning.places import POST
+from defplan_mj.planning.scene import SceneBatch
+from defplan_mj.planning.scenes import k2_scenes, novel_scenes
 from defplan_mj.planning.sensors.laser import beam_directions
 from defplan_mj.planning.surrogate_env import run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.dql.ablations import CHANGES, ablate
-from defplan_solvers.dql.dql import SOLVER, DqlPlanner, QNetwork
-from defplan_solvers.dql.training import Recipe, _Checkpoints, _reward, _Robots, train
+from defplan_solvers.dql.dql import CNN, SOLVER, DqlPlanner, QNetwork
+from defplan_solvers.dql.laser_cnn import LaserCnn
+from defplan_solvers.dql.training import Recipe, _build, _Checkpoints, _reward, _Robots, train
 from tests.samples import planning as samples
 
 NAVIGATION = Navigation()
@@ -69,6 +73,49 @@ def test_the_network_in_numpy_is_the_one_in_torch():
     with torch.no_grad():
         expected = torch.nn.Sequential(*layers[:-1])(torch.from_numpy(inputs)).numpy()
     assert np.allclose(network(inputs), expected, rtol=1e-5, atol=1e-5)
+
+
+def test_the_cnn_in_numpy_is_the_one_in_torch_and_its_file_gives_it_again(tmp_path):
+    small = dataclasses.replace(SMALL, convolutions=True, transitions=400)
+    network, _, meta = train(samples.surrogate(), NAVIGATION, 0, small, 60, silent)
+    torch.manual_seed(1)
+    cnn = LaserCnn(64, "planar", 10.0)
+    seen = np.random.default_rng(1).uniform(0, 1, (7, 64)).astype(np.float32)
+    with torch.no_grad():
+        expected = cnn.see(torch.from_numpy(seen)).numpy()
+    assert np.allclose(cnn.frozen()(seen), expected, rtol=1e-5, atol=1e-5)
+    made = DqlPlanner(network, samples.surrogate(), NAVIGATION, meta)
+    assert network.inputs == made.senses.size and network.weights[0].shape == (64, 149 - 64 + 32)
+    path = tmp_path / "policy.npz"
+    CNN.save(made, path)
+    again = CNN.load(path, samples.surrogate(), NAVIGATION)
+    assert np.array_equal(again.values(observation()), made.values(observation()))
+    with pytest.raises(DefplanError, match="policy"):
+        CNN.load(path, samples.surrogate(), dataclasses.replace(NAVIGATION, beams=32))
+    with pytest.raises(DefplanError, match="dql-cnn"):
+        SOLVER.load(path, samples.surrogate(), NAVIGATION)
+
+
+def test_the_cnn_is_trained_with_all_else():
+    small = dataclasses.replace(SMALL, convolutions=True)
+    model = _build(_Robots(samples.surrogate(), NAVIGATION, 0, small), 0, small)
+    model.set_logger(Logger(None, []))
+    first = model.q_net.features_extractor.cnn.frozen()
+    model.learn(3000)
+    last = model.q_net.features_extractor.cnn.frozen()
+    moved = [np.abs(a - b).max() for a, b in zip(first.filters, last.filters, strict=True)]
+    assert min(moved) > 1e-3
+
+
+def test_in_scenes_of_a_place_all_scenes_of_a_training_are_of_that_place():
+    tunnel = Navigation(scenes="tunnel", room=samples.surrogate().radius)
+    small = dataclasses.replace(SMALL, scenes=4, transitions=200)
+    robots = _Robots(samples.surrogate(), tunnel, 0, small)
+    robots.reset()
+    radii = robots.robots.radii
+    assert np.allclose(radii[radii > 0], POST)
+    _, curves, _ = train(samples.surrogate(), tunnel, 0, small, 60, silent)
+    assert "moving_success" not in curves
 
 
 def test_features_tell_near_and_far_targets_sides_and_the_room_of_gaits_apart():

@@ -13,8 +13,9 @@ from defplan_mj.planning.sensors.laser import beam_directions
 from defplan_mj.planning.surrogate_env import SurrogateEnv
 from defplan_mj.task import Navigation
 from defplan_solvers.dql import dql
+from defplan_solvers.dql.beams import taps
 from defplan_solvers.dql.paper import DqlPaperSolver, PaperConfiguration
-from defplan_solvers.dql.paper_training import PaperNetwork, nearest_obstacles, pretrain, taps
+from defplan_solvers.dql.paper_training import PaperNetwork, nearest_obstacles, pretrain
 from tests.samples import planning as samples
 
 NAVIGATION = Navigation()
@@ -50,7 +51,7 @@ def test_the_cnn_has_the_papers_filters_and_sees_a_ring():
     torch.manual_seed(0)
     network = PaperNetwork(NAVIGATION, 3, (64, 64, 64))
     cnn = network.cnn
-    assert [tuple(f.weight.shape) for f in cnn.filters] == [(16, 1, 8), (16, 16, 4), (16, 16, 4)]
+    assert [tuple(f.weight.shape) for f in cnn.filters] == [(16, 8), (16, 64), (16, 64)]
     assert cnn.dense.out_features == 32
     seen = []
     cnn.dense.register_forward_pre_hook(lambda module, inputs: seen.append(inputs[0]))
@@ -60,9 +61,11 @@ def test_the_cnn_has_the_papers_filters_and_sees_a_ring():
         expected = 1 - laser[:, None] / 10
         for filters in cnn.filters:  # an ordinary convolution of the scan, repeated around
             ring = torch.cat([expected, expected], -1)
-            around = functional.conv1d(ring, filters.weight, filters.bias)
+            width = filters.weight.shape[1] // expected.shape[1]
+            weight = filters.weight.reshape(16, width, -1).transpose(1, 2)
+            around = functional.conv1d(ring, weight, filters.bias)
             expected = functional.softplus(around[..., :64])
-    assert torch.allclose(seen[0], expected.flatten(1), atol=1e-6)
+    assert torch.allclose(seen[0], expected.transpose(1, 2).flatten(1), atol=1e-6)
 
 
 def test_filters_look_at_different_neighbours_of_each_beam_in_the_same_directions():

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from defplan_mj.planning.outcome import SUCCESS
-from defplan_mj.planning.scenes import SceneBatch, novel_scenes
+from defplan_mj.planning.scene import SceneBatch
+from defplan_mj.planning.scenes import novel_scenes
 from defplan_mj.planning.surrogate_env import SurrogateEnv, run_all
 from defplan_mj.planning.tracking import Balls
 from defplan_mj.task import Navigation
