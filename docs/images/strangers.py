@@ -21,7 +21,7 @@ from defplan_mj.study.table import Row, read_parquet
 COLUMNS = 4
 HEAD = (
     "| mesh | vertices / modes / gaits | m, rad a cycle | training targets | unseen scenes"
-    " | without the check | CPU | what failed |"
+    " | without the check | stages, wall | what failed |"
 )
 
 
@@ -51,9 +51,9 @@ def line(row: Row) -> str:
         else f"{row[f'{n}_success']:.0%} of {row[f'{n}_episodes']}"
         for n in names
     ]
-    cpu = "–" if row["cpu_seconds"] is None else f"{row['cpu_seconds'] / 60:.1f} min"
+    wall = "–" if not row["total_seconds"] else f"{row['total_seconds'] / 60:.1f} min"
     fault = f"{row['failed_in']}: {row['error']}" if row["failed"] else ""
-    return f"| {row['task']} | {size} | {moves or '–'} | {' | '.join(shares)} | {cpu} | {fault} |"
+    return f"| {row['task']} | {size} | {moves or '–'} | {' | '.join(shares)} | {wall} | {fault} |"
 
 
 def body_of(root: Path, row: Row) -> Body | None:
