@@ -149,6 +149,21 @@ class Navigation:
 
 
 @dataclass(frozen=True)
+class Effort:
+    """How much a run of the task does where its command does not say.
+
+    Attributes:
+        pairs: (before, after) pairs a gait that the surrogate is fitted to.
+        episodes: unseen scenes of the evaluation.
+        moving: episodes at training targets among moving obstacles, at each of four speeds (0: none).
+    """
+
+    pairs: int = 1000
+    episodes: int = 200
+    moving: int = 40
+
+
+@dataclass(frozen=True)
 class TaskSpec:
     """A task: one body, its gaits and its navigation problem.
 
@@ -167,6 +182,7 @@ class TaskSpec:
             space is about to tilt.
         terrain: what the robot walks on; None: it swims.
         navigation: the second stage.
+        effort: how much a run does where its command does not say.
         gait_solver, planner, feedback: default plugins, by name; '': the one that says of itself that
             it is the default of its kind (`registry.get_task` fills in its name).
         rivals: gait solvers to compare with in the report, if they are installed.
@@ -190,6 +206,7 @@ class TaskSpec:
     axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
     terrain: Terrain | None = None
     navigation: Navigation = Navigation()
+    effort: Effort = Effort()
     gait_solver: str = ""
     planner: str = ""
     feedback: str = ""

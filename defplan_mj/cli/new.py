@@ -132,7 +132,7 @@ def show(points: np.ndarray, faces: np.ndarray, path: Path) -> None:
 
 
 def _name(output: Path) -> str:
-    from defplan_mj.taskfile.guess import plain_name
+    from defplan_mj.taskfile.find import plain_name
 
     return plain_name(output.stem)
 

@@ -213,14 +213,18 @@ def _run(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--solver-seeds", type=_count, metavar="N", help="of that comparison (default: 1)"
     )
-    sub.add_argument("--pairs", type=_count, metavar="N", help="for the surrogate (default: 1000)")
+    sub.add_argument(
+        "--pairs", type=_count, metavar="N", help="for the surrogate (default: 1000, of a mesh 300)"
+    )
     _training(sub)
-    sub.add_argument("--episodes", type=_count, metavar="N", help="unseen scenes (default: 200)")
+    sub.add_argument(
+        "--episodes", type=_count, metavar="N", help="unseen scenes (default: 200, of a mesh 100)"
+    )
     sub.add_argument(
         "--moving",
         type=_natural,
         metavar="N",
-        help="episodes among moving obstacles, for each of four speeds (default: 40; 0: none)",
+        help="episodes among moving obstacles, for each of four speeds (default: 40, of a mesh 0: none)",
     )
     _common(sub)
 

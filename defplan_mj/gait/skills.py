@@ -16,7 +16,7 @@ ENOUGH = 0.5
 """Share of the wanted size that a gait has to reach."""
 MOST_FALLS = 0.1
 """Share of its cycles that may fall."""
-VERSION = 1
+VERSION = 2
 """Of this judgement: what was judged otherwise is judged anew."""
 
 

@@ -16,7 +16,7 @@ from defplan_mj.gait.switching import measure_cycles
 
 _CYCLES, _SETTLE = 6, 2
 _STARTS = 3  # of the straight task
-_ITERATIONS = (12, 25)  # of each start, and of the best of them
+_ITERATIONS = (15, 50)  # of each start, and of the best of them
 _OUTSIDE = 10.0  # weight of the mean squared excess of a target shape over the body's amplitude
 _BOUND = 4.0  # of alpha and beta
 _UNSOLVED = 1e3  # more than any cycle costs: a step of it was not solved
@@ -35,22 +35,57 @@ class Trial:
     turn: float
 
 
-def try_tasks(
-    problem: GaitProblem, seed: int = 0, progress: Progress = no_progress
-) -> tuple[Trial, ...]:
+@dataclass(frozen=True)
+class Tried:
+    """What short trials came to.
+
+    Attributes:
+        w: (n_w,) the gaits of all tasks, each tried alone, with the phases mu in common: a start.
+        trials: what each of them does.
+    """
+
+    w: np.ndarray
+    trials: tuple[Trial, ...]
+
+
+_LAST: dict[tuple, Tried] = {}
+"""What was tried last: who guesses a task of a mesh optimises its gaits next."""
+
+
+def try_tasks(problem: GaitProblem, seed: int = 0, progress: Progress = no_progress) -> Tried:
     """Return what a few iterations of L-BFGS-B make of each task of a swimmer, alone.
 
-    The straightest task is tried from random gaits, and the others from what that came to, bent. It is the
-    problem's own objective, with a penalty for target shapes beyond the body's amplitude.
+    The straightest task is tried from random gaits, and the others from what that came to, bent, in its
+    phases. It is the problem's own objective, with a penalty for target shapes beyond the body's amplitude.
+
+    Args:
+        progress: told the share that is done.
     """
+    key = (_told(problem), seed)
+    if key not in _LAST:
+        tried = _try_tasks(problem, seed, progress)
+        _LAST.clear()
+        _LAST[key] = tried
+    return _LAST[key]
+
+
+def _told(problem: GaitProblem) -> tuple:
+    """Return all that trials depend on."""
+    own = problem.dynamics
+    stepping = (own.body.hash, own.timestep, *own.stepping.items(), problem.steps_per_cycle)
+    return (*stepping, problem.tasks, problem.weights, tuple(problem.axis), problem.space)
+
+
+def _try_tasks(problem: GaitProblem, seed: int, progress: Progress) -> Tried:
     rng, order = (
         np.random.default_rng(seed),
         sorted(range(problem.n_tasks), key=lambda j: problem.tasks[j].angle),
     )
     straight: np.ndarray | None = None
+    found: dict[int, np.ndarray] = {}
     done: dict[int, Trial] = {}
     for number, j in enumerate(order):
-        progress("task: trying what the body can do", number / len(order))
+        progress("trying what the body can do", number / len(order))
         alone = problem.alone(j)
         if straight is None:
             starts = [alone.random_gait(rng) for _ in range(_STARTS)]
@@ -58,10 +93,13 @@ def try_tasks(
             starts = (
                 [straight, *bent_gaits(alone, straight)] if alone.tasks[0].angle else [straight]
             )
-        w = _optimised(alone, starts, straight is None)
-        straight = w if straight is None else straight
-        done[j] = _measured(alone, w)
-    return tuple(done[j] for j in range(problem.n_tasks))
+        found[j] = _optimised(alone, starts, straight is None)
+        straight = found[j] if straight is None else straight
+        done[j] = _measured(alone, found[j])
+    parts = [problem.alone(j).split(found[j]) for j in range(problem.n_tasks)]
+    mu = parts[order[0]][0]
+    w = problem.join(mu, *(np.concatenate([part[i] for part in parts]) for i in (1, 2)))
+    return Tried(w, tuple(done[j] for j in range(problem.n_tasks)))
 
 
 def bent_gaits(alone: GaitProblem, w: np.ndarray) -> Iterator[np.ndarray]:
@@ -75,8 +113,12 @@ def bent_gaits(alone: GaitProblem, w: np.ndarray) -> Iterator[np.ndarray]:
             yield alone.join(mu, a, b)
 
 
-def _optimised(alone: GaitProblem, starts: list[np.ndarray], each: bool) -> np.ndarray:
-    """Return the best w after a few iterations from the best start, and `each`: before from each of them."""
+def _optimised(alone: GaitProblem, starts: list[np.ndarray], first: bool) -> np.ndarray:
+    """Return the best w after a few iterations from the best start.
+
+    Args:
+        first: before that a few from each of them; of the others the phases stay what they are.
+    """
     w = ca.MX.sym("w", alone.n_w)
     cost = alone.objective([[0] * _CYCLES], settle=_SETTLE)(w)
     cost += _OUTSIDE * alone.excess(w)
@@ -89,17 +131,19 @@ def _optimised(alone: GaitProblem, starts: list[np.ndarray], each: bool) -> np.n
             return _UNSOLVED, np.zeros(len(x))
         return float(cost), np.array(slope).ravel()
 
-    bound = np.where(np.arange(alone.n_w) < alone.n_phases, np.inf, _BOUND)
-    limits = np.stack([-bound, bound], axis=1)
+    phases = np.arange(alone.n_w) < alone.n_phases
+    bound = np.where(phases, np.inf, _BOUND)
 
     def improve(x: np.ndarray, iterations: int) -> tuple[float, np.ndarray]:
+        fixed = phases & (not first)
+        limits = np.stack([np.where(fixed, x, -bound), np.where(fixed, x, bound)], axis=1)
         options = {"maxiter": iterations}
         found = minimize(value, x, jac=True, method="L-BFGS-B", bounds=limits, options=options)
         return float(found.fun), found.x
 
-    first, last = _ITERATIONS
-    tried = [improve(x, first) if each else (value(x)[0], x) for x in starts]
-    return improve(min(tried, key=lambda pair: pair[0])[1], last)[1]
+    few, many = _ITERATIONS
+    tried = [improve(x, few) if first else (value(x)[0], x) for x in starts]
+    return improve(min(tried, key=lambda pair: pair[0])[1], many)[1]
 
 
 def _measured(alone: GaitProblem, w: np.ndarray) -> Trial:

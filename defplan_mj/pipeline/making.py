@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from defplan_mj.gait.gait import Gait
     from defplan_mj.gait.problem import GaitProblem
     from defplan_mj.gait.switching import Switching
+    from defplan_mj.pipeline.judging import Attempt
     from defplan_mj.pipeline.run import Run
     from defplan_mj.planning.planner import Planner
     from defplan_mj.planning.surrogate import Surrogate
 
 BODY_FILE, GAIT_FILE, SURROGATE_FILE = "body.npz", "gait.npz", "surrogate.npz"
 SWITCHING_FILE = "gait.json"
-TRIED_FILE, SKILLS_FILE = "gait-tried.npz", "skills.json"
 TRAINING_VERSION = 1
 
 
@@ -79,22 +79,34 @@ def dynamics(run: Run) -> ReducedDynamics:
 
 
 def gait_problem(run: Run, gait: Gait | None = None) -> GaitProblem:
-    """Return Eq. 1 for the run's body: of all its tasks, or of those that a gait has."""
+    """Return Eq. 1 for the run's body: of all its tasks, or of those that a gait has, in its period."""
     from defplan_mj.gait.problem import GaitProblem
 
     spec = run.plan.spec
-    return GaitProblem.of(spec if gait is None else spec.of_gaits(gait.task_names), dynamics(run))
+    if gait is not None:
+        spec = dataclasses.replace(
+            spec.of_gaits(gait.task_names), steps_per_cycle=gait.steps_per_cycle
+        )
+    return GaitProblem.of(spec, dynamics(run))
 
 
-def solve_gait(run: Run, solver: Any, stage: str, seed: int) -> Gait:
+def solve_gait(run: Run, solver: Any, stage: str, seed: int, steps: int | None = None) -> Gait:
     """Let a gait solver solve the problem; Ctrl-C is heard meanwhile.
+
+    Args:
+        steps: in a cycle; None: as the task says.
 
     Raises:
         DefplanError: it returns no gait.
     """
     from defplan_mj.gait.gait import Gait
+    from defplan_mj.gait.problem import GaitProblem
 
-    problem, progress = gait_problem(run), run.progress_of(stage)
+    spec, progress = run.plan.spec, run.progress_of(stage)
+    if steps is not None:  # as many cycles as before
+        whole = spec.gait_steps * steps // spec.steps_per_cycle
+        spec = dataclasses.replace(spec, steps_per_cycle=steps, gait_steps=whole)
+    problem = GaitProblem.of(spec, dynamics(run))
     gait = threads.interruptible(lambda: solver.solve(problem, seed, progress))
     return expect(gait, Gait, f"the gait solver {solver.name}", "solve")
 
@@ -142,13 +154,22 @@ def _gait_task(run: Run) -> dict[str, Any]:
 
 def _make_gait(run: Run) -> Iterable[Path]:
     from defplan_mj.gait.switching import evaluate_switching
+    from defplan_mj.pipeline.judging import choose
 
     path, switching, seed = run.file(GAIT_FILE), run.file(SWITCHING_FILE), run.plan.options.seed
     others: list[Path] = []
-    gait = solve_gait(run, run.plan.gait_solver, "gait", seed)
-    measured = evaluate_switching(gait_problem(run), gait, SWITCHING_CYCLES, seed)
+
+    def measure(gait: Gait) -> Switching:
+        return evaluate_switching(gait_problem(run, gait), gait, SWITCHING_CYCLES, seed)
+
+    def solve(attempt: Attempt) -> Gait:
+        return solve_gait(run, run.plan.gait_solver, "gait", attempt.seed, attempt.steps)
+
     if is_judged(run):
-        gait, measured, others = _choose(run, gait, measured)
+        gait, measured, others = choose(run, solve, measure)
+    else:
+        gait = solve_gait(run, run.plan.gait_solver, "gait", seed)
+        measured = measure(gait)
     gait.save(path)
     write_json(switching, {"gait": measured.to_json()})
     return [path, switching, *others]
@@ -159,60 +180,19 @@ def is_judged(run: Run) -> bool:
     return run.plan.spec.file is not None
 
 
-def _choose(run: Run, gait: Gait, measured: Switching) -> tuple[Gait, Switching, list[Path]]:
-    """Judge gaits and drop those that failed; if the others cannot steer, keep all of them.
-
-    Returns:
-        The gaits, what they do when these are switched, and the files with the verdicts.
-    """
-    from defplan_mj.gait.skills import can_steer, faults, judge
-    from defplan_mj.gait.switching import evaluate_switching
-
-    spec, seed = run.plan.spec, run.plan.options.seed
-    verdicts = {skill.name: skill for skill in judge(measured)}
-    tried, chosen, seen = gait, gait, measured
-    while True:  # without those that failed the others may do otherwise
-        names = [name for name in chosen.task_names if verdicts[name].kept]
-        left = spec.of_gaits(names).gait_tasks
-        steers = not faults(verdicts.values()) or can_steer(left, spec.navigation.space, spec.axis)
-        if not steers or len(names) == len(chosen.task_names):
-            break
-        chosen = gait.of_tasks(names)
-        seen = evaluate_switching(gait_problem(run, chosen), chosen, SWITCHING_CYCLES, seed)
-        verdicts |= {skill.name: skill for skill in judge(seen)}
-    found, others = list(verdicts.values()), [run.file(SKILLS_FILE)]
-    document = {"steers": steers, "skills": [skill.to_json() for skill in found]}
-    write_json(run.file(SKILLS_FILE), document)
-    if not steers:
-        return gait, measured, others
-    if faults(found):
-        tried.save(run.file(TRIED_FILE))
-        others.append(run.file(TRIED_FILE))
-        run.consent.say(f"dropped: {faults(found)}; it goes on with {', '.join(names)}")
-    return chosen, seen, others
-
-
 def skills(run: Run) -> list[dict[str, Any]]:
     """Return what was wanted of each gait, what it does and whether it was kept; empty if not judged."""
-    return _verdicts(run)["skills"] if is_judged(run) and run.is_done("gait") else []
+    from defplan_mj.pipeline.judging import verdicts_of
 
-
-def _verdicts(run: Run) -> dict[str, Any]:
-    return read_json(run.file(SKILLS_FILE), "verdict")
+    return verdicts_of(run)["skills"] if is_judged(run) and run.is_done("gait") else []
 
 
 def _require_steering(run: Run) -> None:
-    """Raise a DefplanError if the gaits that do what they are called cannot steer."""
-    if not is_judged(run) or _verdicts(run)["steers"]:
-        return
-    told = _verdicts(run)["skills"]
-    failed = "; ".join(f"{skill['name']} {skill['fault']}" for skill in told if not skill["kept"])
-    left = ", ".join(skill["name"] for skill in told if skill["kept"]) or "none"
-    raise DefplanError(
-        f"{run.plan.spec.name}: these gaits cannot steer, so nothing is trained: {failed or 'none failed'};"
-        f" what is left: {left}. Change gait_tasks, the time step or the material in"
-        f" {run.plan.spec.file}, or try another --gait-solver or --seed"
-    )
+    """Raise a DefplanError if the gaits were judged and cannot steer."""
+    from defplan_mj.pipeline.judging import require_steering
+
+    if is_judged(run):
+        require_steering(run)
 
 
 def _load_gait(run: Run) -> Gait:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -242,8 +243,8 @@ def open_run(
 
     Args:
         chosen: fields of `RunOptions`; what is missing or None is as the folder's run was asked for,
-            or else the default.
-        whole: the folder is for a whole run: what is not chosen is the default, whatever the folder's
+            or else as the task says.
+        whole: the folder is for a whole run: what is not chosen is as the task says, whatever the folder's
             run was asked for before.
         fresh: forget everything made before.
         consent, anew, lenders: see `Run`.
@@ -256,7 +257,8 @@ def open_run(
     _check_task(path, spec, before, consent, fresh)
     given = {name: value for name, value in chosen.items() if value is not None}
     kept = kept_options(before)
-    plan = Plan(spec, RunOptions(seed=seed, **{**({} if whole else kept), **given}))
+    usual = dataclasses.asdict(spec.effort)
+    plan = Plan(spec, RunOptions(seed=seed, **{**usual, **({} if whole else kept), **given}))
     if fresh and whole:
         plan.check()  # before anything is forgotten
     was_whole = before.get("whole") is True or has_run(path)

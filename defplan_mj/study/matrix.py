@@ -9,10 +9,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.study.spec import MOST_RUNS, Study
-from defplan_mj.task import TaskSpec
-from defplan_mj.taskfile.find import find_task
+from defplan_mj.taskfile.find import GAIT_SOLVER, PLANNER, find_task, mesh_task_name
 
 
 @dataclass(frozen=True)
@@ -20,13 +20,14 @@ class Cell:
     """One run of a study; plain, so that it can be sent to another machine.
 
     Attributes:
-        source: its task's name or file, as `find_task` takes it.
+        source: its task's name or file, as `find_task` takes it, or a mesh.
         task: the task's name.
         seed: of everything random in it.
         gait_solver, planner, feedback: by name.
         variant: name of its options.
         options: see `spec.Variant`.
         until: its last stage.
+        medium: of a mesh, what it moves in or on; '' of a task.
     """
 
     source: str
@@ -38,6 +39,7 @@ class Cell:
     variant: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
     until: str = "report"
+    medium: str = ""
 
     @property
     def method(self) -> str:
@@ -69,13 +71,13 @@ def cells(study: Study) -> list[Cell]:
         DefplanError: nothing is left, or they are too many.
     """
     axes = (study.seeds, study.gait_solvers, study.planners, study.feedbacks, study.variants)
-    count = len(study.tasks)
+    count = len(study.tasks) + len(study.meshes)
     for axis in axes:
         count *= len(axis)
     if count > MOST_RUNS:
         raise DefplanError(f"{study.file}: {count} runs are more than {MOST_RUNS}")
     found: dict[Path, Cell] = {}
-    for cell in _every(study, [find_task(source) for source in study.tasks]):
+    for cell in _every(study, _robots(study)):
         if not any(cell.says(entry) for entry in study.leave_out):
             found.setdefault(cell.folder, cell)
     if not found:
@@ -83,9 +85,34 @@ def cells(study: Study) -> list[Cell]:
     return list(found.values())
 
 
-def _every(study: Study, specs: Sequence[TaskSpec]) -> Iterator[Cell]:
-    for (source, spec), seed, gait, planner, feedback, variant in itertools.product(
-        zip(study.tasks, specs, strict=True),
+@dataclass(frozen=True)
+class _Robot:
+    """A task of a study, as far as it is known before it is run; see `Cell`."""
+
+    source: str
+    task: str
+    gait_solver: str
+    planner: str
+    feedback: str
+    medium: str = ""
+
+
+def _robots(study: Study) -> list[_Robot]:
+    """Return the study's tasks, and those that are to be guessed of its meshes."""
+    found = []
+    for source in study.tasks:
+        spec = find_task(source)
+        found.append(_Robot(source, spec.name, spec.gait_solver, spec.planner, spec.feedback))
+    for mesh in study.meshes:
+        name = mesh_task_name(Path(mesh), study.medium)
+        feedback = registry.default_solver("feedback")
+        found.append(_Robot(mesh, name, GAIT_SOLVER, PLANNER, feedback, study.medium))
+    return found
+
+
+def _every(study: Study, robots: Sequence[_Robot]) -> Iterator[Cell]:
+    for robot, seed, gait, planner, feedback, variant in itertools.product(
+        robots,
         study.seeds,
         study.gait_solvers,
         study.planners,
@@ -93,15 +120,16 @@ def _every(study: Study, specs: Sequence[TaskSpec]) -> Iterator[Cell]:
         study.variants,
     ):
         yield Cell(
-            source,
-            spec.name,
+            robot.source,
+            robot.task,
             seed,
-            gait or spec.gait_solver,
-            planner or spec.planner,
-            feedback or spec.feedback,
+            gait or robot.gait_solver,
+            planner or robot.planner,
+            feedback or robot.feedback,
             variant.name,
             variant.options,
             study.until,
+            robot.medium,
         )
 
 

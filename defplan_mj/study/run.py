@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ from defplan_mj.planning.outcome import ENDINGS
 from defplan_mj.study.build import require_same
 from defplan_mj.study.matrix import Cell
 from defplan_mj.study.table import EPISODE_COLUMNS, KEYS, STAGES, Row, complete, moving_name
+from defplan_mj.task import TaskSpec
 from defplan_mj.taskfile.find import find_task
 
 if TYPE_CHECKING:
@@ -58,9 +60,11 @@ def run_job(job: Job, progress: Progress = no_progress) -> Row:
     threads.set_environment(1)
     threads.limit_processes(job.processes)
     made: Row = {}
+    began = cpu_seconds()
     try:
         require_same(job.build)
         _carry_out(job, made, progress)
+        made["cpu_seconds"] = cpu_seconds() - began
         return complete({**keys_of(job.cell), "failed": False, **made})
     except DefplanError as error:
         sentence = str(error)
@@ -68,6 +72,7 @@ def run_job(job: Job, progress: Progress = no_progress) -> Row:
         sentence = "the memory is used up: use fewer --jobs or a smaller mesh"
     except Exception as error:  # a plugin may fail in any way; the other runs go on
         sentence = f"this is a mistake in defplan or a plugin: {type(error).__name__}: {error}"
+    made["cpu_seconds"] = cpu_seconds() - began
     told = {"failed_in": "task", **made, "failed": True, "error": sentence}
     return complete({**keys_of(job.cell), **told})
 
@@ -76,6 +81,12 @@ def failed_row(cell: Cell, sentence: str, where: str) -> Row:
     """Return the row of a run that nothing is left of but a sentence."""
     told = {"failed": True, "error": sentence, "failed_in": where}
     return complete({**keys_of(cell), **told})
+
+
+def cpu_seconds() -> float:
+    """Return the CPU time of this process, of all its threads and of its children that have ended, s."""
+    told = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(usage.ru_utime + usage.ru_stime for usage in told)
 
 
 def keys_of(cell: Cell) -> Row:
@@ -95,7 +106,7 @@ def keys_of(cell: Cell) -> Row:
 def _carry_out(job: Job, made: Row, progress: Progress) -> None:
     """Do a run, and put into `made` what its row says; also of a run that fails."""
     cell = job.cell
-    spec = find_task(cell.source)
+    spec = _task_of(job, made, progress)
     chosen = {
         "gait_solver": cell.gait_solver,
         "planner": cell.planner,
@@ -125,6 +136,23 @@ def _carry_out(job: Job, made: Row, progress: Progress) -> None:
             if time.monotonic() > deadline:
                 raise
             time.sleep(1.0)
+
+
+def _task_of(job: Job, made: Row, progress: Progress) -> TaskSpec:
+    """Return the task of a run; of a mesh that of its file in the study's folder, guessed if it is not there."""
+    cell = job.cell
+    if not cell.medium:
+        return find_task(cell.source)
+    from defplan_mj.taskfile.guess import guess_task
+    from defplan_mj.taskfile.write import write_task
+
+    path = job.root / f"{cell.task}.toml"
+    if not path.is_file():
+        began = time.perf_counter()
+        guess = guess_task(cell.source, cell.medium, progress=progress)
+        write_task(guess.spec, path, [f"Guessed: {guess.sentence}."])
+        made["guess_seconds"] = time.perf_counter() - began
+    return find_task(str(path))
 
 
 def _do(run: Run, until: str) -> None:

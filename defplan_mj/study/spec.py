@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.taskfile import lines
-from defplan_mj.taskfile.find import SUFFIX, find_task, is_file
+from defplan_mj.taskfile.find import MEDIA, SUFFIX, find_task, is_file, is_mesh, mesh_task_name
 from defplan_mj.taskfile.source import read_source
 
 UNTIL = ("gait", "surrogate", "planner", "evaluation", "report")
@@ -24,6 +24,7 @@ PAGES = ("study", "paper", "optimisers")
 AXES = {"gait_solvers": "gait", "planners": "planner", "feedbacks": "feedback"}
 """Lists of plugins, and of which kind; left out: the task's own."""
 MOST_RUNS = 1_000_000
+_ROBOTS = ("tasks", "meshes", "medium")
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ class Study:
         name: of its folder.
         description: a sentence for the page.
         tasks: names, or paths of task files.
+        meshes: paths of mesh files, whose tasks are guessed when they are run.
+        medium: what these move in, or on: 'water' or 'ground'.
         seeds: of the runs.
         gait_solvers, planners, feedbacks: by name; '': the task's own.
         variants: options, at least one entry.
@@ -60,6 +63,8 @@ class Study:
     name: str
     tasks: tuple[str, ...]
     description: str = ""
+    meshes: tuple[str, ...] = ()
+    medium: str = ""
     seeds: tuple[int, ...] = (0,)
     gait_solvers: tuple[str, ...] = ("",)
     planners: tuple[str, ...] = ("",)
@@ -112,10 +117,11 @@ class _Reader:
 
     def study(self, data: dict[str, Any], quick: bool) -> Study:
         """Return the whole study."""
-        fields = ("name", "description", "tasks", "seeds", *AXES, "until", "page", "options")
+        fields = ("name", "description", *_ROBOTS, "seeds", *AXES, "until", "page", "options")
         self.known(data, (*fields, "variants", "leave_out", "roles", "quick"), ())
         instead = self.table(data, "quick", ())
-        self.known(instead, ("tasks", "seeds", *AXES, "options", "variants", "until"), ("quick",))
+        asked = (*_ROBOTS, "seeds", *AXES, "options", "variants", "until")
+        self.known(instead, asked, ("quick",))
         if quick and not instead:
             self.fail((), "this study has no quick form: it has no table [quick]")
         if not quick:
@@ -128,10 +134,14 @@ class _Reader:
         base = self.options(self.table(data, "options", ()), ("options",))
         base |= self.options(self.table(instead, "options", ("quick",)), ("quick", "options"))
         chosen = {axis: self.plugins(*of(axis), kind) for axis, kind in AXES.items()}
+        meshes, medium = self.meshes(*of("meshes"), of("medium")[0])
+        tasks = () if meshes and of("tasks")[0] is None else self.tasks(*of("tasks"))
         return Study(
             name=f"{name}-quick" if quick else name,
             description=self.text(data, "description", ""),
-            tasks=self.tasks(*of("tasks")),
+            tasks=tasks,
+            meshes=meshes,
+            medium=medium,
             seeds=self.seeds(*of("seeds")),
             variants=self.variants(*of("variants"), base),
             leave_out=self.leave_out(data.get("leave_out"), ("leave_out",)),
@@ -194,7 +204,9 @@ class _Reader:
     def tasks(self, data: Any, path: lines.Path) -> tuple[str, ...]:
         """Return the tasks; a file is named from this file's folder on."""
         if data is None:
-            self.fail((), "`tasks` is missing: names, or paths of task files, in a list")
+            self.fail(
+                (), "`tasks` is missing: names, or paths of task files, in a list; or `meshes`"
+            )
         tasks, names = [], []
         for task in self.row(data, path):
             if not isinstance(task, str):
@@ -206,6 +218,25 @@ class _Reader:
             names.append(found)
             tasks.append(named)
         return tuple(tasks)
+
+    def meshes(self, data: Any, path: lines.Path, medium: Any) -> tuple[tuple[str, ...], str]:
+        """Return mesh files, from this file's folder on, and their medium; none if there are none."""
+        if data is None and medium is None:
+            return (), ""
+        if medium not in MEDIA:
+            self.fail(("medium",), f"`meshes` need a `medium`: water or ground, not {medium!r}")
+        found: dict[str, str] = {}
+        for mesh in self.row(data, path):
+            if not isinstance(mesh, str) or not is_mesh(mesh):
+                self.fail(path, f"`meshes` has {mesh!r}: it must be paths of mesh files in quotes")
+            named = self.file.parent / Path(mesh).expanduser()
+            if not named.is_file():
+                self.fail(path, f"`meshes` has {mesh!r}: there is no such file")
+            name = mesh_task_name(named, medium)
+            if name in found:
+                self.fail(path, f"`meshes` has two of the name {name}: their runs would mix")
+            found[name] = str(named)
+        return tuple(found.values()), medium
 
     def seeds(self, data: Any, path: lines.Path) -> tuple[int, ...]:
         """Return the seeds: a list, or how many, from 0 on."""

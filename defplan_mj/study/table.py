@@ -99,11 +99,25 @@ COLUMNS: tuple[Column, ...] = (
         for s in SPEEDS
     ),
     Column("moving_episodes", "whole", "", "at each of these speeds"),
+    Column(
+        "guess_seconds",
+        "number",
+        "s",
+        "wall time of guessing a mesh's task, if this run did it",
+        timing=True,
+    ),
     *(
         Column(f"{stage}_seconds", "number", "s", f"wall time of the stage {stage}", timing=True)
         for stage in STAGES
     ),
     Column("solver_seconds", "number", "s", "wall time of the gait solver alone", timing=True),
+    Column(
+        "cpu_seconds",
+        "number",
+        "s",
+        "CPU time of what this study made anew of the run, guess and all processes",
+        timing=True,
+    ),
     Column("total_seconds", "number", "s", "wall time of all stages of the run", timing=True),
 )
 """Of the table of runs. A stage that several runs share counts with its time in each of them."""

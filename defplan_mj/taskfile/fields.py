@@ -20,7 +20,7 @@ from defplan_mj.dynamics.terrain import TYPES, Heightfield, Terrain, TerrainGeom
 from defplan_mj.gait.gait import MOST_STEPS
 from defplan_mj.gait.style import STYLES
 from defplan_mj.kernel.pack import INTEGRATORS, MAX_SUBSTEPS
-from defplan_mj.task import GaitTask, Navigation, TaskSpec, Weights
+from defplan_mj.task import Effort, GaitTask, Navigation, TaskSpec, Weights
 
 NOT_IN_A_FILE = ("file",)
 """Of a task: where it comes from is not for the file to say."""
@@ -49,6 +49,7 @@ OTHER_WORDS = {
     "weights": "of the gaits' objective, per cycle",
     "terrain": "what the robot walks on; without it, it swims",
     "navigation": "the second stage: targets among obstacles",
+    "effort": "how much a run does where its command does not say",
     "paper": "figures that the report sets beside the run's own",
     "body.material": "isotropic and elastic",
     "body.medium": "what surrounds the body",
@@ -172,6 +173,7 @@ BOUNDS: dict[type, dict[str, Bound]] = {
         "half_size": Bound(lambda sizes: all(s > 0 for s in sizes), "all above 0"),
         "heights": Bound(lambda h: h.ndim == 2 and min(h.shape) > 1, "a grid of 2 x 2 or more"),
     },
+    Effort: {"pairs": _from(1), "episodes": _from(1), "moving": _from(0)},
     Navigation: {
         "distance": _POSITIVE,
         "goal_radius": _POSITIVE,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from defplan_mj import registry
@@ -14,6 +15,10 @@ SUFFIX = ".toml"
 COPY = "task.toml"
 """A run's folder keeps its task under this name, if that is a file's."""
 MESHES = SURFACE_FORMATS + CELL_FORMATS
+MEDIA = ("water", "ground")
+"""What a mesh can move in, or on."""
+GAIT_SOLVER, PLANNER = "shooting-quick", "astar"
+"""Of a task that is guessed from a mesh: who names a mesh wants to see it move, soon."""
 
 
 def is_file(name: str) -> bool:
@@ -59,3 +64,13 @@ def find_task(name: str) -> TaskSpec:
         if Path(name).is_file():
             raise DefplanError(f"{name} is no task file: such a file ends in {SUFFIX}") from error
         raise
+
+
+def plain_name(stem: str) -> str:
+    """Return a file's stem as a task's name."""
+    return re.sub(r"[^\w.+-]+", "-", stem).strip("-.+") or "body"
+
+
+def mesh_task_name(mesh: Path, medium: str) -> str:
+    """Return what the task that is guessed from a mesh is called."""
+    return f"{plain_name(mesh.stem)}-{'walk' if medium == 'ground' else 'swim'}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,9 +29,9 @@ from defplan_mj.dynamics.world import GROUND
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.style import lateral_share
 from defplan_mj.gait.trials import try_tasks
-from defplan_mj.task import GaitTask, Navigation, TaskSpec, Weights
+from defplan_mj.task import Effort, GaitTask, Navigation, TaskSpec, Weights
+from defplan_mj.taskfile.find import GAIT_SOLVER, MEDIA, PLANNER, mesh_task_name
 
-MEDIA = ("water", "ground")
 _ROUND = 0.1  # by how much the two extents across the axis of a round body may differ
 
 
@@ -66,7 +65,6 @@ _MOST_MODES = 12
 _BENDING = 1.2  # summed share of the modes that is sideways bending: the fish's first four have 1.9
 _LEAST_ADVANCE, _LEAST_TURN = 0.05, 0.05  # of the length; rad: less is not worth a gait
 _MORE = 2.0  # than a short trial reached is wanted
-_CYCLES = 60  # on the way to a target, about
 _WAYS = 6  # a time-out allows so many times the way
 
 
@@ -122,7 +120,7 @@ def guess_task(
     height = float(np.ptp(body.vertices[:, 2]))
     timestep, steps = rhythm(kind, hertz, height)
     spec = TaskSpec(
-        name=name or f"{plain_name(path.stem)}-{'walk' if kind == 'ground' else 'swim'}",
+        name=name or mesh_task_name(path, medium),
         description=f"{path.stem}, guessed from its mesh: it {_DOES[kind]}",
         mesh=path,
         body=chosen,
@@ -133,6 +131,9 @@ def guess_task(
         weights=_weights(kind, size),
         axis=(1.0, 0.0, 0.0) if axis is None else axis,
         terrain=GROUND.terrain if kind == "ground" else None,
+        gait_solver=GAIT_SOLVER,
+        planner=PLANNER,
+        effort=EFFORT,
         navigation=_navigation(kind, size),
     )
     if kind != "ground":
@@ -227,7 +228,8 @@ def _with_modes(path: Path, options: BodyOptions) -> tuple[BodyOptions, np.ndarr
             options, modes=int(np.clip(enough, options.modes, _MOST_MODES))
         )
         values, modes = values[: options.modes], modes[..., : options.modes]
-    correction = stiffness_correction(mesh, material, mass, modes)
+    # of the body's first modes: all modes are corrected alike, by what these are too stiff
+    correction = stiffness_correction(mesh, material, mass, modes[..., :3])
     hertz = np.sqrt(values * correction.young) / (2 * np.pi)
     return options, hertz * np.sqrt(1.0 + material.control_stiffness)
 
@@ -238,14 +240,15 @@ def _with_modes(path: Path, options: BodyOptions) -> tuple[BodyOptions, np.ndarr
 def _as_tried(spec: TaskSpec, progress: Progress) -> TaskSpec:
     """Return a swimmer's task that wants twice what short trials of its body reached: half of it is asked for.
 
-    At most what it wants already, and at least a twentieth of its length and of a radian a cycle. Targets are
-    about as many cycles away as they were.
+    At most what it wants already, and at least a twentieth of its length and of a radian a cycle. The slower
+    it is, the later an episode times out.
     """
     body = build_body(spec.mesh, spec.body, progress)
     problem = GaitProblem.of(spec, spec.dynamics(body))
     size = spec.body.length or 1.0
     tasks = []
-    for task, done in zip(spec.gait_tasks, try_tasks(problem, progress=progress), strict=True):
+    tried = try_tasks(problem, progress=lambda message, done: progress(f"task: {message}", done))
+    for task, done in zip(spec.gait_tasks, tried.trials, strict=True):
         turn, move = np.array(task.turn), np.array(task.move)
         if task.angle:
             turn *= _wanted(_MORE * done.turn, _LEAST_TURN, task.angle) / task.angle
@@ -254,13 +257,11 @@ def _as_tried(spec: TaskSpec, progress: Progress) -> TaskSpec:
                 _wanted(_MORE * done.advance, _LEAST_ADVANCE * size, task.advance) / task.advance
             )
         tasks.append(dataclasses.replace(task, turn=_triple(turn), move=_triple(move)))
-    slowest = min(task.advance for task in tasks if not task.angle)
+    slowest = min(d.advance for d, t in zip(tried.trials, tasks, strict=True) if not t.angle)
     usual = spec.navigation
-    distance = float(np.clip(_CYCLES * slowest, usual.distance / 2, usual.distance))
-    cycles = int(
-        np.clip(np.ceil(_WAYS * distance / slowest), usual.max_cycles, 3 * usual.max_cycles)
-    )
-    navigation = dataclasses.replace(usual, distance=distance, max_cycles=cycles)
+    ways = np.ceil(_WAYS * usual.distance / max(slowest, _LEAST_ADVANCE * size))
+    cycles = int(np.clip(ways, usual.max_cycles, 3 * usual.max_cycles))
+    navigation = dataclasses.replace(usual, max_cycles=cycles)
     return dataclasses.replace(spec, gait_tasks=tuple(tasks), navigation=navigation)
 
 
@@ -275,7 +276,9 @@ _DOES = {
     "spatial": "swims in space",
     "ground": "walks",
 }
-_GAIT_CYCLES = {"planar": 18, "spatial": 11, "ground": 8}  # as the shipped tasks have
+EFFORT = Effort(pairs=300, episodes=100, moving=0)
+"""Fifteen cycles for each pair of gaits are enough of a surrogate; A* does not know of moving obstacles."""
+_GAIT_CYCLES = {"planar": 8, "spatial": 8, "ground": 8}  # half of what the shipped swimmers have
 
 
 def gait_tasks(
@@ -317,12 +320,20 @@ def _triple(vector: np.ndarray) -> tuple[float, float, float]:
 
 
 BODIES = {
-    "planar": BodyOptions(modes=5, basis=31, samples=16, amplitude=2.0, shape_error=MOST_DISTANCE),
+    "planar": BodyOptions(
+        modes=5,
+        basis=31,
+        samples=16,
+        drag_error=0.06,
+        amplitude=2.0,
+        shape_error=MOST_DISTANCE,
+    ),
     "spatial": BodyOptions(
         vertices=1500,
         modes=10,
         basis=60,
         samples=24,
+        drag_error=0.06,
         medium=Medium(righting_height=0.0),
         shape_error=MOST_DISTANCE,
     ),
@@ -352,18 +363,18 @@ def _weights(kind: str, length: float) -> Weights:
 
 
 def _navigation(kind: str, length: float) -> Navigation:
-    """Return the navigation problem of the shipped tasks, in body lengths."""
-    usual = Navigation(k2=30, beams=128, space="spatial") if kind == "spatial" else Navigation()
+    """Return the navigation problem of the shipped tasks, half as far and in body lengths.
+
+    Most of a run's time goes into its evaluation, and that into the way. There are half as many obstacles,
+    so that they stand as close together.
+    """
+    near = Navigation(distance=10.0, k2_obstacles=1, novel_obstacles=5)
+    usual = dataclasses.replace(near, beams=128, space="spatial") if kind == "spatial" else near
     names = ("distance", "goal_radius", "laser_range")
     return dataclasses.replace(usual, **{n: length * getattr(usual, n) for n in names})
 
 
 # ---- how it is said
-
-
-def plain_name(stem: str) -> str:
-    """Return a file's stem as a task's name."""
-    return re.sub(r"[^\w.+-]+", "-", stem).strip("-.+") or "body"
 
 
 def _sentence(spec: TaskSpec, view: View, kind: str, hertz: np.ndarray, path: Path) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
-from defplan_mj.gait.trials import bent_gaits
+from defplan_mj.gait.trials import bent_gaits, try_tasks
 from defplan_solvers.gait.shooting_walk import Trace, Walking
 
 IPOPT = {
@@ -49,10 +49,12 @@ class Shooting:
         starts: random starts.
         start_cycles: cycles of the straight task's trajectory.
         start_iterations: limit of ipopt's iterations for the straight task.
+        tried: start where short trials of each task end (`gait.trials`), and from nowhere else; swimmers only.
         rounds: (limit of iterations for all tasks, starts that go on), round after round.
         walking: the stages of a walker.
         bound: of alpha and beta.
         threads: rollouts in parallel.
+        default: it is the one to take where no other is named.
     """
 
     kind: str = "gait"
@@ -61,12 +63,12 @@ class Shooting:
     starts: int = 5
     start_cycles: int = 6
     start_iterations: int = 40
+    tried: bool = False
     rounds: tuple[tuple[int, int], ...] = ((25, 2), (50, 1), (175, 1))
     walking: Walking = Walking()
     bound: float = 4.0
     threads: int = 2
-
-    default = True
+    default: bool = False
 
     def solve(
         self,
@@ -84,6 +86,9 @@ class Shooting:
         """
         began = time.perf_counter()
         rng = np.random.default_rng(seed)
+        if start is None and self.tried and not problem.dynamics.world.walks:
+            tell = lambda message, done: progress(f"gait: {message}", 0.3 * done)  # noqa: E731
+            start = try_tasks(problem, seed, tell).w
         given = start is not None
         if problem.dynamics.world.walks:
             trace = Trace(progress, self.walking.iterations(problem.n_tasks, given))
@@ -252,4 +257,15 @@ class _Callback(ca.Callback):
         return [0]
 
 
-SOLVER = Shooting()
+SOLVER = Shooting(default=True)
+QUICK = Shooting(
+    name="shooting-quick",
+    summary="shooting from short trials of each gait, few iterations: what a guessed task takes",
+    tried=True,
+    rounds=((50, 1),),
+    walking=Walking(
+        starts=4,
+        alone=((2, 10, 2), (3, 20, 1)),
+        rounds=((2, 8, 25), (4, 8, 25), (6, 8, 25)),
+    ),
+)

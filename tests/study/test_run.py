@@ -6,9 +6,12 @@ import dataclasses
 import json
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
 
 from defplan_mj import cli, registry
+from defplan_mj.base.progress import no_progress
+from defplan_mj.body.surface import Surface
 from defplan_mj.study import engines
 from defplan_mj.study.conduct import conduct, write_tables
 from defplan_mj.study.engines import Here
@@ -18,6 +21,7 @@ from defplan_mj.study.page import write_page
 from defplan_mj.study.spec import read_study
 from defplan_mj.study.table import csv_text, read_parquet
 from defplan_mj.task import Navigation
+from defplan_mj.taskfile.guess import Guess
 from tests.samples.solvers import Lame, Stubborn, Wave
 from tests.samples.study import Straight
 
@@ -162,3 +166,40 @@ def test_the_command_prints_one_object_and_a_dry_run_makes_nothing(
     assert (tmp_path / "logs/small/study.toml").read_text() == STUDY
     assert cli.main([*command, "--jobs", "2", "--scheduler", "tcp://nowhere:1"]) == 1
     assert "--jobs is for this machine" in capfd.readouterr().err
+
+
+def test_a_mesh_that_cannot_be_used_is_a_row_with_its_sentence(plugins, tmp_path):
+    (tmp_path / "nothing.stl").write_text("")
+    path = tmp_path / "meshes.toml"
+    path.write_text('meshes = ["nothing.stl"]\nmedium = "water"\nuntil = "gait"\n')
+    [row] = conduct(cells(read_study(path)), tmp_path / "out", Here(no_progress))
+    assert row["failed"] and row["failed_in"] == "task" and row["task"] == "nothing-swim"
+    assert "nothing.stl" in row["error"] and "\n" not in row["error"]
+    assert row["cpu_seconds"] > 0
+
+
+def test_a_mesh_s_task_is_guessed_once_and_gaits_that_cannot_steer_are_told(
+    plugins, tmp_path, monkeypatch
+):
+    mesh = tmp_path / "cow.stl"
+    mesh.write_text("a mesh")
+    calls = []
+
+    def guess(path, medium, progress):
+        calls.append((path, medium))
+        own = {"name": "cow-swim", "skin": None, "gait_solver": "wave"}
+        spec = dataclasses.replace(registry.get_task("fish-swim"), **own)
+        return Guess(spec, "a guess", Surface(np.zeros((0, 3)), np.zeros((0, 3), int)))
+
+    monkeypatch.setattr("defplan_mj.taskfile.guess.guess_task", guess)
+    path = tmp_path / "meshes.toml"
+    text = 'meshes = ["cow.stl"]\nmedium = "water"\nuntil = "gait"\ngait_solvers = ["wave"]\n'
+    text += 'planners = ["stubborn"]\n'
+    path.write_text(text)
+    for times in range(2):
+        [row] = conduct(cells(read_study(path)), tmp_path / "out", Here(no_progress))
+        assert "cannot steer" in row["error"] and "from another start" in row["error"]
+        assert (row["guess_seconds"] is None) is (times == 1)
+    assert calls == [(str(mesh), "water")]
+    assert plugins["wave"].calls == 3
+    assert "Guessed: a guess" in (tmp_path / "out" / "cow-swim.toml").read_text()

@@ -97,6 +97,20 @@ def test_a_task_file_is_named_from_the_studys_folder_on(write, tmp_path):
         read_study(write('tasks = ["fish-swim", "tasks/other.toml"]\n'))
 
 
+def test_a_study_of_meshes_has_a_run_for_each_whose_task_is_guessed_later(write, tmp_path):
+    for name in ("a cow.obj", "shark.stl"):
+        (tmp_path / name).write_text("")
+    text = 'meshes = ["a cow.obj", "shark.stl"]\nmedium = "ground"\ntasks = ["fish-swim"]\n'
+    made = cells(read_study(write(text)))
+    assert [cell.task for cell in made] == ["fish-swim", "a-cow-walk", "shark-walk"]
+    assert [cell.medium for cell in made] == ["", "ground", "ground"]
+    assert made[1].source == str(tmp_path / "a cow.obj")
+    assert made[1].method == "shooting-quick+astar+none"
+    (tmp_path / "shark.obj").write_text("")
+    with pytest.raises(DefplanError, match=r"line 1: `meshes` has two of the name shark-swim"):
+        read_study(write('meshes = ["shark.stl", "shark.obj"]\nmedium = "water"\n'))
+
+
 TASK = 'tasks = ["fish-swim"]\n'
 
 
@@ -107,6 +121,11 @@ TASK = 'tasks = ["fish-swim"]\n'
         ("seeds = 2\n", 1, "`tasks` is missing"),
         ('tasks = ["fish-swm"]\n', 1, "did you mean fish-swim"),
         ("tasks = []\n", 1, "`tasks` must be a list of one or more"),
+        ('meshes = ["a.obj"]\n', 1, "`meshes` need a `medium`: water or ground"),
+        ('medium = "air"\nmeshes = ["a.obj"]\n', 1, "water or ground, not 'air'"),
+        ('medium = "water"\nmeshes = ["a.obj"]\n', 2, "there is no such file"),
+        ('medium = "water"\nmeshes = ["a.toml"]\n', 2, "paths of mesh files in quotes"),
+        ('medium = "water"\n', 1, "`meshes` must be a list of one or more"),
         (TASK + "seed = 3\n", 2, "no field `seed` at the top, did you mean seeds"),
         (TASK + "seeds = 0\n", 2, "`seeds` is 0: it must be 1 or more"),
         (TASK + "seeds = [1, -1]\n", 2, "`seeds` has -1"),

@@ -142,5 +142,5 @@ def test_the_jellyfish_like_body_swims_in_space_as_its_task_does(monkeypatch):
         assert np.allclose(guessed.direction, task.direction)
     ground = guess_task(shipped.mesh, "ground", length=2.0)
     assert ground.spec.world.walks and ground.spec.body.length == 2.0
-    assert ground.spec.navigation.distance == 40.0
+    assert ground.spec.navigation.distance == 20.0
     assert "--length" in ground.sentence and "\n" not in ground.sentence

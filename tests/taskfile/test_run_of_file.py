@@ -21,6 +21,7 @@ from defplan_mj.planning.planner import TrainResult
 from defplan_mj.report.material import gather
 from defplan_mj.task import Navigation
 from defplan_mj.taskfile import guess
+from defplan_mj.taskfile.find import GAIT_SOLVER, PLANNER
 from defplan_mj.taskfile.guess import guess_task
 from defplan_mj.taskfile.read import read_task
 from defplan_mj.taskfile.write import write_task
@@ -81,7 +82,9 @@ class First:
 @pytest.fixture
 def plugins(monkeypatch):
     """Put a wave and a planner in the place of the installed solvers; keep bodies small, reports short."""
-    found = {"wave": Wave(), "first": First(), "none": registry.get_solver("none", "feedback")}
+    found: dict[str, Any] = {"wave": Wave(), "first": First()}
+    found["none"] = registry.get_solver("none", "feedback")
+    found[GAIT_SOLVER], found[PLANNER] = found["wave"], found["first"]  # of guessed tasks
     real = registry.get_solver
     monkeypatch.setattr(registry, "get_solver", lambda n, k: found.get(n) or real(n, k))
     kinds = {"gait": "wave", "planner": "first", "feedback": "none"}
@@ -190,7 +193,29 @@ def test_a_gait_that_fails_is_dropped_with_a_sentence(task, verdicts, plugins, c
     assert Gait.load(folder / "gait.npz").task_names == ("forward", "left")
     assert Gait.load(folder / "gait-tried.npz").task_names == ("forward", "left", "right")
     code, text, _ = run("run", task, *FEW, capfd=capfd)  # used again
-    assert code == 0 and "right turns the wrong way" in text and plugins["wave"].calls == 1
+    assert code == 0 and "right turns the wrong way" in text and plugins["wave"].calls == 3
+
+
+@pytest.mark.parametrize(("good", "steps"), [(2, 8), (3, 10)])
+def test_gaits_that_fail_are_tried_again(good, steps, task, verdicts, plugins, capfd, tmp_path):
+    wave, seeds = plugins["wave"], []
+    solve = wave.solve
+
+    def later(problem, seed=0, progress=no_progress):
+        gait = solve(problem, seed, progress)
+        seeds.append(seed)
+        verdicts["right"] = (0.3, -0.6 if wave.calls == good else 0.2)
+        return gait
+
+    wave.solve = later
+    code, data, said = run("run", task, "--json", *FEW[:-1], capfd=capfd)
+    assert code == 0 and all(skill["kept"] for skill in data["skills"])
+    assert wave.calls == good and len(set(seeds)) == good and "dropped" not in said
+    assert said.count("right turns the wrong way") == good - 1
+    folder = tmp_path / "logs" / "shark-seed0"
+    assert Gait.load(folder / "gait.npz").steps_per_cycle == steps
+    tries = json.loads((folder / "skills.json").read_text())["tries"]
+    assert [bool(one["faults"]) for one in tries] == [True] * (good - 1) + [False]
 
 
 def test_gaits_that_cannot_steer_end_the_run_before_any_training(task, verdicts, plugins, capfd):
@@ -200,7 +225,8 @@ def test_gaits_that_cannot_steer_end_the_run_before_any_training(task, verdicts,
         assert code == 1 and out == "" and said.count("\n") == 1
         assert "left turns the wrong way" in said and "right turns the wrong way" in said
         assert "what is left: forward" in said and "Change gait_tasks" in said
-    assert plugins["first"].calls == 0 and plugins["wave"].calls == 1
+        assert "tried: as the task says, from another start, " in said
+    assert plugins["first"].calls == 0 and plugins["wave"].calls == 3
     code, data, _ = run("gait", task, "--json", "--quiet", capfd=capfd)
     assert code == 0 and [s["kept"] for s in data["skills"]] == [True, False, False]
 

@@ -24,7 +24,10 @@ DOCS = Path(__file__).resolve()
 while not (DOCS / "docs" / "plugins.md").is_file():
     DOCS = DOCS.parent
 PAGE = DOCS / "docs" / "plugins.md"
-SHIPPED = ("fish-swim", "quadruped-swim", "quadruped-walk", "quadruped-run", "tee-walk")
+SHIPPED = (
+    *("fish-swim", "fish-tunnel", "quadruped-swim"),
+    *("quadruped-walk", "quadruped-run", "tee-walk"),
+)
 
 SMALL = """\
 name = "shark"
