@@ -297,7 +297,7 @@ def test_in_space_switching_is_measured_about_the_tasks_axis_in_the_body_frame(
 
 
 def test_a_short_trial_tells_what_a_body_can_do(problem: GaitProblem) -> None:
-    done = try_tasks(problem)
+    done = try_tasks(problem).trials
     forward, left, right = done
     assert forward.advance > 0.03 and left.turn > 0.05 and right.turn > 0.05
     assert max(trial.advance for trial in done) < 1.0

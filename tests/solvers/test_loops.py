@@ -107,7 +107,9 @@ def test_odometry_keeps_to_the_way_though_cycles_scatter(seed):
     for gait in generator.integers(0, 4, 60):
         odometry.chose(int(gait))
         target = env.step(np.array([gait])).target
-        shift, turn = odometry.moved(target[0].astype(float))
+        moved = odometry.moved(target[0].astype(float))
+        assert moved is not None
+        shift, turn = moved
         position, frame = position + frame @ shift, frame @ turn
     assert np.linalg.norm(position - env.position[0]) < 0.6
     assert np.allclose(frame, env.frames[0], atol=0.1)

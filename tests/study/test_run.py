@@ -187,8 +187,8 @@ def test_a_mesh_s_task_is_guessed_once_and_gaits_that_cannot_steer_are_told(
 
     def guess(path, medium, progress):
         calls.append((path, medium))
-        own = {"name": "cow-swim", "skin": None, "gait_solver": "wave"}
-        spec = dataclasses.replace(registry.get_task("fish-swim"), **own)
+        own = registry.get_task("fish-swim")
+        spec = dataclasses.replace(own, name="cow-swim", skin=None, gait_solver="wave")
         return Guess(spec, "a guess", Surface(np.zeros((0, 3)), np.zeros((0, 3), int)))
 
     monkeypatch.setattr("defplan_mj.taskfile.guess.guess_task", guess)
