@@ -88,10 +88,25 @@ def default_solver(kind: str) -> str:
     Raises:
         DefplanError: none has.
     """
-    defaults = [e for e in solvers(kind) if not e.error and getattr(e.value, "default", False)]
-    if not defaults:
-        raise DefplanError(f"no {kind} solver is the default one: name one in the task")
-    return min(defaults, key=lambda entry: entry.package == "defplan").name
+    return _marked(kind, "default")
+
+
+def quick_solver(kind: str) -> str:
+    """Return the name of the solver of a kind that has `quick = True`: of tasks that are guessed from a mesh,
+    since who names a mesh wants to see it move, soon. If none has, the default one.
+
+    Raises:
+        DefplanError: there is neither.
+    """
+    return _marked(kind, "quick", "default")
+
+
+def _marked(kind: str, *marks: str) -> str:
+    for mark in marks:
+        marked = [e for e in solvers(kind) if not e.error and getattr(e.value, mark, False)]
+        if marked:
+            return min(marked, key=lambda entry: entry.package == "defplan").name
+    raise DefplanError(f"no {kind} solver is the default one: name one in the task")
 
 
 def get_domain(name: str) -> Any:

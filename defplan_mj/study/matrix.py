@@ -12,7 +12,7 @@ from typing import Any
 from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.study.spec import MOST_RUNS, Study
-from defplan_mj.taskfile.find import GAIT_SOLVER, PLANNER, find_task, mesh_task_name
+from defplan_mj.taskfile.find import find_task, mesh_task_name
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ def _robots(study: Study) -> list[_Robot]:
         found.append(_Robot(source, spec.name, spec.gait_solver, spec.planner, spec.feedback))
     for mesh in study.meshes:
         name = mesh_task_name(Path(mesh), study.medium)
-        feedback = registry.default_solver("feedback")
-        found.append(_Robot(mesh, name, GAIT_SOLVER, PLANNER, feedback, study.medium))
+        gait, planner, feedback = (registry.quick_solver(kind) for kind in registry.KINDS)
+        found.append(_Robot(mesh, name, gait, planner, feedback, study.medium))
     return found
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -60,11 +59,9 @@ def run_job(job: Job, progress: Progress = no_progress) -> Row:
     threads.set_environment(1)
     threads.limit_processes(job.processes)
     made: Row = {}
-    began = cpu_seconds()
     try:
         require_same(job.build)
         _carry_out(job, made, progress)
-        made["cpu_seconds"] = cpu_seconds() - began
         return complete({**keys_of(job.cell), "failed": False, **made})
     except DefplanError as error:
         sentence = str(error)
@@ -72,7 +69,6 @@ def run_job(job: Job, progress: Progress = no_progress) -> Row:
         sentence = "the memory is used up: use fewer --jobs or a smaller mesh"
     except Exception as error:  # a plugin may fail in any way; the other runs go on
         sentence = f"this is a mistake in defplan or a plugin: {type(error).__name__}: {error}"
-    made["cpu_seconds"] = cpu_seconds() - began
     told = {"failed_in": "task", **made, "failed": True, "error": sentence}
     return complete({**keys_of(job.cell), **told})
 
@@ -81,12 +77,6 @@ def failed_row(cell: Cell, sentence: str, where: str) -> Row:
     """Return the row of a run that nothing is left of but a sentence."""
     told = {"failed": True, "error": sentence, "failed_in": where}
     return complete({**keys_of(cell), **told})
-
-
-def cpu_seconds() -> float:
-    """Return the CPU time of this process, of all its threads and of its children that have ended, s."""
-    told = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(usage.ru_utime + usage.ru_stime for usage in told)
 
 
 def keys_of(cell: Cell) -> Row:

@@ -111,13 +111,6 @@ COLUMNS: tuple[Column, ...] = (
         for stage in STAGES
     ),
     Column("solver_seconds", "number", "s", "wall time of the gait solver alone", timing=True),
-    Column(
-        "cpu_seconds",
-        "number",
-        "s",
-        "CPU time of what this study made anew of the run, guess and all processes",
-        timing=True,
-    ),
     Column("total_seconds", "number", "s", "wall time of all stages of the run", timing=True),
 )
 """Of the table of runs. A stage that several runs share counts with its time in each of them."""

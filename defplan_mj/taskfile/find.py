@@ -17,8 +17,6 @@ COPY = "task.toml"
 MESHES = SURFACE_FORMATS + CELL_FORMATS
 MEDIA = ("water", "ground")
 """What a mesh can move in, or on."""
-GAIT_SOLVER, PLANNER = "shooting-quick", "astar"
-"""Of a task that is guessed from a mesh: who names a mesh wants to see it move, soon."""
 
 
 def is_file(name: str) -> bool:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.build import build_body
@@ -30,7 +31,7 @@ from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.style import lateral_share
 from defplan_mj.gait.trials import try_tasks
 from defplan_mj.task import Effort, GaitTask, Navigation, TaskSpec, Weights
-from defplan_mj.taskfile.find import GAIT_SOLVER, MEDIA, PLANNER, mesh_task_name
+from defplan_mj.taskfile.find import MEDIA, mesh_task_name
 
 _ROUND = 0.1  # by how much the two extents across the axis of a round body may differ
 
@@ -131,8 +132,8 @@ def guess_task(
         weights=_weights(kind, size),
         axis=(1.0, 0.0, 0.0) if axis is None else axis,
         terrain=GROUND.terrain if kind == "ground" else None,
-        gait_solver=GAIT_SOLVER,
-        planner=PLANNER,
+        gait_solver=registry.quick_solver("gait"),
+        planner=registry.quick_solver("planner"),
         effort=EFFORT,
         navigation=_navigation(kind, size),
     )

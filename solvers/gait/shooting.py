@@ -69,6 +69,7 @@ class Shooting:
     bound: float = 4.0
     threads: int = 2
     default: bool = False
+    quick: bool = False
 
     def solve(
         self,
@@ -261,6 +262,7 @@ SOLVER = Shooting(default=True)
 QUICK = Shooting(
     name="shooting-quick",
     summary="shooting from short trials of each gait, few iterations: what a guessed task takes",
+    quick=True,
     tried=True,
     rounds=((50, 1),),
     walking=Walking(

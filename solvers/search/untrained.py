@@ -21,6 +21,7 @@ class UntrainedSolver:
         name, summary: see the registry.
         make: the planner of a surrogate and a navigation problem.
         bound: it knows what no robot can know, and others are judged by it (`studies.bound`).
+        quick: the planner of tasks that are guessed from a mesh.
     """
 
     name: str
@@ -29,6 +30,7 @@ class UntrainedSolver:
     kind: str = "planner"
     needs_training: bool = False
     bound: bool = False
+    quick: bool = False
 
     def train(
         self,

@@ -238,6 +238,8 @@ def shake(dynamics: ReducedDynamics, steps: int, seed: int, run: int = 100) -> N
     rng, r = np.random.default_rng(seed), dynamics.nu
     for k in range(steps // run):
         x0 = random_state(dynamics, rng, spin=5.0)
+        if dynamics.terrain is not None:  # no robot is metres below the ground
+            x0[2] += rng.uniform(0.0, 0.6) - dynamics.surface(x0)[:, 2].min()
         noise, jumps = rng.uniform(-1, 1, (run, r)), rng.choice([-1.0, 1.0], (run, r))
         held = np.repeat(rng.choice([-1.0, 1.0], (run // 20, r)), 20, axis=0)
         u = (noise, jumps, held)[k % 3] * dynamics.body.amplitude

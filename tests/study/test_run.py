@@ -175,7 +175,6 @@ def test_a_mesh_that_cannot_be_used_is_a_row_with_its_sentence(plugins, tmp_path
     [row] = conduct(cells(read_study(path)), tmp_path / "out", Here(no_progress))
     assert row["failed"] and row["failed_in"] == "task" and row["task"] == "nothing-swim"
     assert "nothing.stl" in row["error"] and "\n" not in row["error"]
-    assert row["cpu_seconds"] > 0
 
 
 def test_a_mesh_s_task_is_guessed_once_and_gaits_that_cannot_steer_are_told(

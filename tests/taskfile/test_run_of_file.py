@@ -21,7 +21,6 @@ from defplan_mj.planning.planner import TrainResult
 from defplan_mj.report.material import gather
 from defplan_mj.task import Navigation
 from defplan_mj.taskfile import guess
-from defplan_mj.taskfile.find import GAIT_SOLVER, PLANNER
 from defplan_mj.taskfile.guess import guess_task
 from defplan_mj.taskfile.read import read_task
 from defplan_mj.taskfile.write import write_task
@@ -84,7 +83,7 @@ def plugins(monkeypatch):
     """Put a wave and a planner in the place of the installed solvers; keep bodies small, reports short."""
     found: dict[str, Any] = {"wave": Wave(), "first": First()}
     found["none"] = registry.get_solver("none", "feedback")
-    found[GAIT_SOLVER], found[PLANNER] = found["wave"], found["first"]  # of guessed tasks
+    found["shooting-quick"], found["astar"] = found["wave"], found["first"]  # of guessed tasks
     real = registry.get_solver
     monkeypatch.setattr(registry, "get_solver", lambda n, k: found.get(n) or real(n, k))
     kinds = {"gait": "wave", "planner": "first", "feedback": "none"}

@@ -12,10 +12,11 @@ from defplan_mj import registry, suite
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.terrain import Terrain, TerrainGeom
+from defplan_mj.dynamics.world import tilt
 from defplan_mj.gait.friction import Sliding
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
-from defplan_mj.gait.switching import evaluate_switching, measure_cycles
+from defplan_mj.gait.switching import evaluate_switching, measure_cycles, roll_cycles
 from defplan_mj.kernel.contact_points import contact_points
 from defplan_solvers.gait import shooting_walk
 from defplan_solvers.gait.shooting import Shooting
@@ -214,9 +215,13 @@ def test_the_hardest_sequences_end_where_the_walker_tilts_most(
 ) -> None:
     still = dataclasses.replace(gait, alpha=gait.alpha * np.array([0.0, 1.0])[:, None, None])
     assert measure_cycles(problem, still, np.ones(8, int)).tilt.min() > 1e-2  # stands, or walks
-    hard = hardest(problem, problem.w_of(still), 4, 8, np.random.default_rng(0))
-    assert len(hard) == 8
-    assert all(len(sequence) == 4 and sequence[-1] == 1 for sequence in hard)
+    w = problem.w_of(still)
+    hard = hardest(problem, w, 4, 8, np.random.default_rng(0))
+    assert len(hard) == 8 and all(len(sequence) == 4 for sequence in hard)
+    task = random_tasks(2, 0.0, np.random.default_rng(0))
+    states, _ = roll_cycles(problem.dynamics, problem.gait(w, {}).table()[task])
+    worst = 3 + int(tilt(states).max(1)[3:].argmax())
+    assert hard[0] == list(task[worst - 3 : worst + 1])
 
 
 @pytest.mark.parametrize("counts", [[0], [2, 1, 0], [2, 3, 2, 2]])
