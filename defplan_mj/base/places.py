@@ -12,7 +12,7 @@ PLACES = {
     "maze": "rows of boxes, and lanes between them",
     "tunnel": "a bending tunnel, closed behind the start",
 }
-"""Named scenes that are harder of the plane (`planning.places`), and what they are."""
+"""Named scenes of the plane that are harder (`planning.places`), and what they are."""
 
 
 def check_place(name: str, dimension: int) -> None:

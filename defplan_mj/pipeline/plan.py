@@ -11,7 +11,7 @@ from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.feedback import FeedbackSolver
 from defplan_mj.planning.planner import PlannerSolver
-from defplan_mj.task import TaskSpec
+from defplan_mj.task import Effort, TaskSpec
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class RunOptions:
     feedback: str | None = None
     rivals: Sequence[str] | None = None
     solver_seeds: int = 1
-    pairs: int = 1000
+    pairs: int = Effort.pairs
     training_seconds: float | None = None
-    episodes: int = 200
+    episodes: int = Effort.episodes
     logged: int = 4
-    moving: int = 40
+    moving: int = Effort.moving
 
 
 _NAMES = ("gait_solver", "planner", "feedback")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,8 @@ from typing import Any
 from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.study.spec import MOST_RUNS, Study
-from defplan_mj.taskfile.find import find_task, mesh_task_name
+from defplan_mj.task import Effort
+from defplan_mj.taskfile.find import EFFORT, find_task, mesh_task_name
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class Cell:
         options: see `spec.Variant`.
         until: its last stage.
         medium: of a mesh, what it moves in or on; '' of a task.
+        effort: of its task, where the options do not say.
+        stands: whether all obstacles of its task stand, whatever the options say.
     """
 
     source: str
@@ -40,6 +43,13 @@ class Cell:
     options: Mapping[str, Any] = field(default_factory=dict)
     until: str = "report"
     medium: str = ""
+    effort: Effort = Effort()
+    stands: bool = False
+
+    @property
+    def asked(self) -> Mapping[str, Any]:
+        """What the run does: its options, and its task's effort where they do not say."""
+        return {**asdict(self.effort), **self.options}
 
     @property
     def method(self) -> str:
@@ -95,6 +105,8 @@ class _Robot:
     planner: str
     feedback: str
     medium: str = ""
+    effort: Effort = Effort()
+    stands: bool = False
 
 
 def _robots(study: Study) -> list[_Robot]:
@@ -102,11 +114,13 @@ def _robots(study: Study) -> list[_Robot]:
     found = []
     for source in study.tasks:
         spec = find_task(source)
-        found.append(_Robot(source, spec.name, spec.gait_solver, spec.planner, spec.feedback))
+        names = (spec.name, spec.gait_solver, spec.planner, spec.feedback)
+        stands = bool(spec.navigation.scenes)
+        found.append(_Robot(source, *names, effort=spec.effort, stands=stands))
     for mesh in study.meshes:
         name = mesh_task_name(Path(mesh), study.medium)
         gait, planner, feedback = (registry.quick_solver(kind) for kind in registry.KINDS)
-        found.append(_Robot(mesh, name, gait, planner, feedback, study.medium))
+        found.append(_Robot(mesh, name, gait, planner, feedback, study.medium, EFFORT))
     return found
 
 
@@ -130,6 +144,8 @@ def _every(study: Study, robots: Sequence[_Robot]) -> Iterator[Cell]:
             variant.options,
             study.until,
             robot.medium,
+            robot.effort,
+            robot.stands,
         )
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from defplan_mj.pipeline.plan import RunOptions
 from defplan_mj.pipeline.store import read_config, stage_seconds
 from defplan_mj.study.matrix import Cell
-from defplan_mj.taskfile.find import find_task
 
 _ORDER = {
     "gait": ("body", "gait"),
@@ -67,8 +66,7 @@ def prospects(cells: Sequence[Cell], root: Path, logs: Path) -> list[Prospect]:
 
 
 def _stages(cell: Cell) -> list[str]:
-    moves = not find_task(cell.source).navigation.scenes  # obstacles of a place stand
-    moving = moves and cell.options.get("moving", _DEFAULTS.moving)
+    moving = cell.asked["moving"] and not cell.stands
     return [stage for stage in _ORDER[cell.until] if stage != "moving" or moving]
 
 
@@ -115,7 +113,7 @@ class _Times:
         names = {"gait": cell.gait_solver, "planner": cell.planner}
         for known in _from_near_to_far(stage, cell.task, names.get(stage, "")):
             if known in self.told:
-                return statistics.median(self.told[known]) * _share(stage, cell.options)
+                return statistics.median(self.told[known]) * _share(stage, cell.asked)
         return None
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.formats import CELL_FORMATS, SURFACE_FORMATS
-from defplan_mj.task import TaskSpec
+from defplan_mj.task import Effort, TaskSpec
 from defplan_mj.taskfile.read import read_task
 
 SUFFIX = ".toml"
@@ -17,6 +17,9 @@ COPY = "task.toml"
 MESHES = SURFACE_FORMATS + CELL_FORMATS
 MEDIA = ("water", "ground")
 """What a mesh can move in, or on."""
+EFFORT = Effort(pairs=300, episodes=100, moving=0)
+"""Of a task that is guessed from a mesh. Fifteen cycles for each pair of gaits are enough of a surrogate; A*
+does not know of moving obstacles."""
 
 
 def is_file(name: str) -> bool:

@@ -30,8 +30,8 @@ from defplan_mj.dynamics.world import GROUND
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.style import lateral_share
 from defplan_mj.gait.trials import try_tasks
-from defplan_mj.task import Effort, GaitTask, Navigation, TaskSpec, Weights
-from defplan_mj.taskfile.find import MEDIA, mesh_task_name
+from defplan_mj.task import GaitTask, Navigation, TaskSpec, Weights
+from defplan_mj.taskfile.find import EFFORT, MEDIA, mesh_task_name
 
 _ROUND = 0.1  # by how much the two extents across the axis of a round body may differ
 
@@ -277,8 +277,6 @@ _DOES = {
     "spatial": "swims in space",
     "ground": "walks",
 }
-EFFORT = Effort(pairs=300, episodes=100, moving=0)
-"""Fifteen cycles for each pair of gaits are enough of a surrogate; A* does not know of moving obstacles."""
 _GAIT_CYCLES = {"planar": 8, "spatial": 8, "ground": 8}  # half of what the shipped swimmers have
 
 

@@ -168,6 +168,21 @@ def test_the_command_prints_one_object_and_a_dry_run_makes_nothing(
     assert "--jobs is for this machine" in capfd.readouterr().err
 
 
+def test_what_is_to_be_made_of_meshes_and_tunnels_has_no_moving_obstacles(tmp_path):
+    (tmp_path / "shark.stl").write_text("")
+    path = tmp_path / "mixed.toml"
+    path.write_text(
+        'meshes = ["shark.stl"]\nmedium = "water"\ntasks = ["fish-swim", "fish-tunnel"]\n'
+    )
+    runs = cells(read_study(path))
+    told = {p.cell.task: p.missing for p in prospects(runs, tmp_path / "out", tmp_path)}
+    moving = {task: "moving" in missing for task, missing in told.items()}
+    assert moving == {"fish-swim": True, "fish-tunnel": False, "shark-swim": False}
+    path.write_text(path.read_text() + "[options]\nmoving = 3\n")
+    asked = prospects(cells(read_study(path)), tmp_path / "out", tmp_path)
+    assert [p.cell.task for p in asked if "moving" in p.missing] == ["fish-swim", "shark-swim"]
+
+
 def test_a_mesh_that_cannot_be_used_is_a_row_with_its_sentence(plugins, tmp_path):
     (tmp_path / "nothing.stl").write_text("")
     path = tmp_path / "meshes.toml"
