@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from defplan_mj.base.errors import DefplanError
 from defplan_mj.pipeline.making import policy_file
 
 if TYPE_CHECKING:
@@ -109,22 +108,12 @@ def evaluate(
 def _scenes(
     run: Run, scenes: str, episodes: int | None, obstacles: int | None, speed: float
 ) -> list[Scene]:
-    from defplan_mj.base.places import PLACES
-    from defplan_mj.planning.places import place_scenes
-    from defplan_mj.planning.scenes import k2_scenes, novel_scenes
+    from defplan_mj.planning.scenes import draw_scenes
 
-    navigation, options = run.plan.spec.navigation, run.plan.options
-    if scenes == "k2":
-        return k2_scenes(navigation, options.seed, episodes, obstacles, speed)
-    count = episodes or options.episodes
-    if scenes in PLACES:
-        if obstacles is not None or speed:
-            raise DefplanError(
-                f"the scenes {scenes} have obstacles of their own, which stand still"
-            )
-        radius = run.result("surrogate").radius
-        return place_scenes(scenes, navigation, count, options.seed, radius)
-    return novel_scenes(navigation, count, options.seed, obstacles, speed)
+    options, navigation = run.plan.options, run.plan.spec.navigation
+    count = episodes if scenes == "k2" else episodes or options.episodes
+    radius = run.result("surrogate").radius
+    return draw_scenes(scenes, navigation, options.seed, count, radius, obstacles, speed)
 
 
 def _context(run: Run, shield: bool) -> dict[str, Any]:

@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.base.places import PLACES
 from defplan_mj.base.rotations import level_attitude, quaternion_heading
 from defplan_mj.planning.frames import (
     random_attitudes,
     random_directions,
     spread_directions,
 )
-from defplan_mj.planning.places import place_batch
+from defplan_mj.planning.places import place_batch, place_scenes
 from defplan_mj.planning.scene import FAR, Scene, SceneBatch
 from defplan_mj.task import Navigation
 
@@ -222,6 +223,39 @@ def _beside(along: np.ndarray, generator: np.random.Generator, tries: int) -> np
     return np.cos(angle) * first[:, None] + np.sin(angle) * np.cross(along, first)[:, None]
 
 
+def draw_scenes(
+    kind: str,
+    navigation: Navigation,
+    seed: int,
+    n: int | None,
+    radius: float,
+    obstacles: int | None = None,
+    obstacle_speed: float = 0.0,
+) -> list[Scene]:
+    """Return n scenes of a kind: 'k2' (training targets), 'novel' (unseen scenes) or a name of `base.places`.
+
+    Args:
+        n: None: of 'k2' one for each training target.
+        radius: of the disc or ball that holds the robot, which a place is made for, m.
+
+    Raises:
+        DefplanError: a place has obstacles of its own; or as the generators say.
+    """
+    if kind == "k2":
+        return k2_scenes(navigation, seed, n, obstacles, obstacle_speed)
+    if n is None:
+        raise DefplanError(f"say how many scenes of the kind {kind} there are to be")
+    if kind in PLACES:
+        _keep_obstacles(kind, obstacles, obstacle_speed)
+        return place_scenes(kind, navigation, n, seed, radius)
+    return novel_scenes(navigation, n, seed, obstacles, obstacle_speed)
+
+
+def _keep_obstacles(place: str, obstacles: int | None, speed: float) -> None:
+    if obstacles is not None or speed:
+        raise DefplanError(f"the scenes {place} have obstacles of their own, which stand still")
+
+
 def _check(navigation: Navigation, episodes: int, obstacles: int | None, speed: float) -> None:
     if episodes < 1:
         raise DefplanError(f"an evaluation needs at least 1 episode, not {episodes}")
@@ -229,10 +263,8 @@ def _check(navigation: Navigation, episodes: int, obstacles: int | None, speed: 
         raise DefplanError(f"the number of obstacles must be 0 or more, not {obstacles}")
     if not (np.isfinite(speed) and speed >= 0):
         raise DefplanError(f"the obstacle speed must be 0 m/s or more, not {speed}")
-    if navigation.scenes and (obstacles is not None or speed):
-        raise DefplanError(
-            f"the scenes {navigation.scenes} have obstacles of their own, which stand still"
-        )
+    if navigation.scenes:
+        _keep_obstacles(navigation.scenes, obstacles, speed)
 
 
 @dataclass(frozen=True)

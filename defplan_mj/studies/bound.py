@@ -12,11 +12,10 @@ from defplan_mj.base.places import PLACES
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.host.evaluation import evaluate
 from defplan_mj.planning.outcome import ENDINGS
-from defplan_mj.planning.places import place_scenes
 from defplan_mj.planning.planner import Planner
 from defplan_mj.planning.robot import Robot
 from defplan_mj.planning.scene import Scene
-from defplan_mj.planning.scenes import k2_scenes, novel_scenes
+from defplan_mj.planning.scenes import draw_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
 
@@ -35,11 +34,7 @@ class Setting:
 
     def draw(self, navigation: Navigation, n: int, seed: int, radius: float) -> list[Scene]:
         """Return n scenes for a robot whose disc or ball has this radius, m."""
-        if self.scenes == "k2":
-            return k2_scenes(navigation, seed, n, obstacle_speed=self.speed)
-        if self.scenes == "novel":
-            return novel_scenes(navigation, n, seed, obstacle_speed=self.speed)
-        return place_scenes(self.scenes, navigation, n, seed, radius)
+        return draw_scenes(self.scenes, navigation, seed, n, radius, obstacle_speed=self.speed)
 
 
 def bound_solver() -> Any:

@@ -33,12 +33,8 @@ class ForesightPlanner:
         """Return (K,) minus the cycles that are left after each gait, the way's first gait first."""
         target = observation["target"][: self.d]
         self.tracker.update(observation["laser"], target)
-        values = -self.search.outlook.after_each(target)
-        gait = self.search.first_gait(
-            self.tracker.balls(), target, self.tracker.odometry.gait, MARGINS
-        )
-        if gait is not None:
-            values[gait] = values.max() + 1
+        before = self.tracker.odometry.gait
+        values = self.search.values(self.tracker.balls(), target, before, MARGINS)
         self.tracker.chose(carried_out(values, observation))
         return values
 

@@ -39,10 +39,7 @@ class OraclePlanner:
         target, d = observation["target"][: self.d], self.d
         told = told_obstacles(observation, "oracle")
         balls = Balls(told[:, :d], told[:, d], told[:, d + 1 :])
-        values = -self.search.outlook.after_each(target)
-        gait = self.search.first_gait(balls, target, self.odometry.gait, MARGINS)
-        if gait is not None:
-            values[gait] = values.max() + 1
+        values = self.search.values(balls, target, self.odometry.gait, MARGINS)
         self.odometry.chose(carried_out(values, observation))
         return values
 

@@ -106,3 +106,17 @@ class SpaceTime:
             if len(way) > len(best):
                 best = way
         return int(best[0]) if len(best) else None
+
+    def values(
+        self, balls: Balls, target: np.ndarray, before: int, margins: tuple[float, ...]
+    ) -> np.ndarray:
+        """Return (K,) minus the cycles that are left after each gait, the way's first gait first.
+
+        Args:
+            balls, target, before, margins: see `first_gait`.
+        """
+        values = -self.outlook.after_each(target)
+        gait = self.first_gait(balls, target, before, margins)
+        if gait is not None:
+            values[gait] = values.max() + 1
+        return values
