@@ -50,20 +50,20 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-_most_processes = 2
+_processes: int | None = None
 
 
-def limit_processes(n: int) -> None:
-    """Let parallel work of this process use `n` processes from now on, where it would take two."""
-    global _most_processes
-    if n < 1:
+def limit_processes(n: int | None) -> None:
+    """Let parallel work of this process use `n` processes from now on; None: one for each core."""
+    global _processes
+    if n is not None and n < 1:
         raise ValueError(f"the number of processes must be at least 1, not {n}")
-    _most_processes = n
+    _processes = n
 
 
 def available_processes() -> int:
-    """Return how many processes parallel work may use: the cores, at most as many as it is limited to."""
-    return min(available_cores(), _most_processes)
+    """Return how many processes parallel work may use: the cores, or as many as it is limited to."""
+    return available_cores() if _processes is None else _processes
 
 
 _abandoned: list[

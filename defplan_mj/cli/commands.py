@@ -26,6 +26,7 @@ from defplan_mj.cli.text import (
     skills_text,
     surrogate_text,
 )
+from defplan_mj.cli.workers import workers
 
 if TYPE_CHECKING:
     from defplan_mj.base.progress import Progress
@@ -346,13 +347,16 @@ def _open(
     spec = find_task(arguments.task)
     fresh = whole and arguments.fresh
     consent = Consent(arguments.remake, console.say, console.asker())
-    with open_run(
-        *(spec, arguments.logs, arguments.seed, chosen, progress),
-        whole=whole,
-        fresh=fresh,
-        consent=consent,
-        anew=anew,
-    ) as run:
+    with (
+        open_run(
+            *(spec, arguments.logs, arguments.seed, chosen, progress),
+            whole=whole,
+            fresh=fresh,
+            consent=consent,
+            anew=anew,
+        ) as run,
+        workers(arguments, console),
+    ):
         yield run
 
 

@@ -226,6 +226,7 @@ def _run(sub: argparse.ArgumentParser) -> None:
         metavar="N",
         help="episodes among moving obstacles, for each of four speeds (default: 40, of a mesh 0: none)",
     )
+    _workers(sub)
     _common(sub)
 
 
@@ -239,13 +240,7 @@ def _study(sub: argparse.ArgumentParser) -> None:
         help="say what is there, what is to be made and about how long it takes; make nothing",
     )
     sub.add_argument("--quick", action="store_true", help="with the file's table [quick]")
-    sub.add_argument(
-        "--jobs", type=_count, metavar="N", help="runs at a time, each a process (default: 1)"
-    )
-    sub.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that does the runs")
-    sub.add_argument(
-        "--scheduler-file", type=Path, metavar="FILE", help="that `dask scheduler` has written"
-    )
+    _workers(sub, "runs", "1")
     sub.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR",
                      help="where the study's folder lies (default: logs)")  # fmt: skip
     sub.add_argument("--remake", action="store_true",
@@ -347,6 +342,7 @@ def _evaluate(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument("--log", type=Path, metavar="DIR", help="log each episode (MCAP) into DIR")
     _stage(sub)
+    _workers(sub)
     _common(sub)
 
 
@@ -376,6 +372,7 @@ def _bound(sub: argparse.ArgumentParser) -> None:
         "--episodes", type=_count, default=50, metavar="N", help="of each kind (default: 50)"
     )
     _stage(sub)
+    _workers(sub)
     _common(sub)
 
 
@@ -385,6 +382,7 @@ def _noise(sub: argparse.ArgumentParser) -> None:
         "--episodes", type=_count, default=50, metavar="N", help="of each strength (default: 50)"
     )
     _stage(sub)
+    _workers(sub)
     _common(sub)
 
 
@@ -421,6 +419,7 @@ def _robustness(sub: argparse.ArgumentParser) -> None:
         "--push", type=_not_negative, default=0.3, metavar="V", help="m/s (default: 0.3)"
     )
     _stage(sub)
+    _workers(sub, "walks")
     _common(sub)
 
 
@@ -556,6 +555,22 @@ def _stage(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--fresh", action="store_true", help="use nothing made before")
     sub.add_argument("--remake", action="store_true",
                      help="make finished stages anew if they were made with other options")  # fmt: skip
+
+
+def _workers(sub: argparse.ArgumentParser, what: str = "episodes", most: str = "the cores") -> None:
+    """Add where many of something are done at a time."""
+    sub.add_argument(
+        "--jobs",
+        type=_count,
+        metavar="N",
+        help=f"{what} at a time, each in a process (default: {most})",
+    )
+    sub.add_argument(
+        "--scheduler", metavar="ADDRESS", help=f"of a Dask cluster that does the {what}"
+    )
+    sub.add_argument(
+        "--scheduler-file", type=Path, metavar="FILE", help="that `dask scheduler` has written"
+    )
 
 
 def _common(sub: argparse.ArgumentParser) -> None:

@@ -8,8 +8,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from defplan_mj.base.errors import DefplanError
 from defplan_mj.cli.console import Console, table
+from defplan_mj.cli.workers import check_workers, cluster
 
 if TYPE_CHECKING:
     from defplan_mj.base.progress import Progress
@@ -25,7 +25,7 @@ def study(arguments: argparse.Namespace, console: Console) -> int:
     from defplan_mj.study.page import write_page
     from defplan_mj.study.spec import find_study
 
-    _check(arguments)
+    check_workers(arguments)
     spec = find_study(arguments.study, arguments.quick)
     cells = cells_of(spec)
     root = arguments.logs / spec.name
@@ -60,22 +60,14 @@ def _summary(data: dict[str, Any]) -> str:
     )
 
 
-def _check(arguments: argparse.Namespace) -> None:
-    if arguments.scheduler is not None and arguments.scheduler_file is not None:
-        raise DefplanError("name the scheduler by --scheduler or --scheduler-file, not by both")
-    elsewhere = arguments.scheduler is not None or arguments.scheduler_file is not None
-    if elsewhere and arguments.jobs is not None:
-        raise DefplanError("--jobs is for this machine: a Dask cluster has its own workers")
-
-
 def _engine(
     arguments: argparse.Namespace, console: Console, progress: Progress
 ) -> AbstractContextManager[Engine]:
     from defplan_mj.study.engines import cluster_engine, local_engine
 
-    if arguments.scheduler is None and arguments.scheduler_file is None:
+    if (client := cluster(arguments, console)) is None:
         return local_engine(arguments.jobs or 1, progress)
-    return cluster_engine(arguments.scheduler, arguments.scheduler_file, console.say)
+    return cluster_engine(client)
 
 
 def _say_outlook(spec: Study, cells: list[Cell], root: Path, logs: Path, console: Console) -> int:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from defplan_mj.base import threads
+from defplan_mj.base import parallel
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.host.navigation import robot_environment
@@ -216,18 +216,20 @@ def evaluate(
         shield: wrap the planner in the safety shield.
         recorder: gives the recorders of those episodes that are to be logged.
         context: of the logs.
-        workers: processes (default: `threads.available_processes()`, and 1 for a few episodes).
+        workers: processes (default: `parallel.places()`, and 1 for a few episodes).
     """
     pilot: Planner = Shield(planner, surrogate, navigation) if shield else planner
     if workers is None:
-        workers = threads.available_processes() if len(scenes) >= PARALLEL_FROM else 1
+        workers = parallel.places() if len(scenes) >= PARALLEL_FROM else 1
     room = max([ROOM, *(len(scene.radii) for scene in scenes)])
     run = functools.partial(_run_share, robot, navigation, room, pilot, recorder, context)
     numbered = list(enumerate(scenes))
     pieces = 1 if workers == 1 else 8 * workers
     shares = [numbered[i::pieces] for i in range(pieces) if numbered[i::pieces]]
     ended: list[Episode] = []
-    for episodes in _map(run, shares, workers):
+    one_by_one = map(run, shares)  # so that each episode is told of at once
+    many = parallel.each(functools.partial(_as_list, run), shares, workers, ordered=False)
+    for episodes in one_by_one if workers == 1 else many:
         for episode in episodes:
             ended.append(episode)
             progress(f"{episode.outcome} in {episode.cycles} cycles", len(ended) / len(scenes))
@@ -237,20 +239,7 @@ def evaluate(
 _Share = list[tuple[int, Scene]]
 
 
-def _map(
-    run: Callable[[_Share], Iterator[Episode]], shares: list[_Share], workers: int
-) -> Iterator[Iterator[Episode]]:
-    if workers == 1:
-        yield from map(run, shares)
-        return
-    from joblib import Parallel, delayed, parallel_config
-
-    with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
-        parallel = Parallel(return_as="generator_unordered", pre_dispatch=2 * workers)
-        yield from parallel(delayed(_as_list)(run, share) for share in shares)
-
-
-def _as_list(run: Callable[[_Share], Iterator[Episode]], share: _Share) -> Any:
+def _as_list(run: Callable[[_Share], Iterator[Episode]], share: _Share) -> list[Episode]:
     return list(run(share))
 
 

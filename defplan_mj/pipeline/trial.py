@@ -89,7 +89,8 @@ def evaluate(
     who, surrogate, navigation = robot(run), run.result("surrogate"), run.plan.spec.navigation
     if log is not None:
         parts = RunFiles.of_robot(who, surrogate, policy_file(run))
-        log = dataclasses.replace(log, parts=parts)
+        # absolute: another process may have another folder
+        log = dataclasses.replace(log, parts=parts, folder=log.folder.absolute())
     progress = run.progress_of("evaluation")
     message = f"{scenes}, {'with' if shield else 'without'} shield"
     return evaluate(

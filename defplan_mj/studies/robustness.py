@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from defplan_mj.base import threads
+from defplan_mj.base import parallel
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.body.model import Body
@@ -194,6 +195,17 @@ def perturbed_walk(
     return PerturbedWalk(task, fell, counted, motion, busy / steps)
 
 
+def _walk(
+    dynamics: ReducedDynamics,
+    gait: Gait,
+    cycles: int,
+    seed: int,
+    job: tuple[Condition, FeedbackSolver],
+) -> PerturbedWalk:
+    where, solver = job
+    return perturbed_walk(dynamics, gait, solver, where, cycles, seed)
+
+
 def measure_robustness(
     dynamics: ReducedDynamics,
     gait: Gait,
@@ -210,20 +222,13 @@ def measure_robustness(
     the calm condition; 'way_m', the mean displacement of a cycle. None: no cycle counts. 'decision_ms':
     processor time of a step's feedback.
     """
-    from joblib import Parallel, delayed, parallel_config
-
     jobs = [(condition, solver) for condition in measured for solver in solvers]
-    workers = min(threads.available_cores(), 2)
+    walk = functools.partial(_walk, dynamics, gait, cycles, seed)
     walks: list[PerturbedWalk] = []
-    with parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
-        calls = (
-            delayed(perturbed_walk)(dynamics, gait, solver, where, cycles, seed)
-            for where, solver in jobs
-        )
-        for one in Parallel(return_as="generator")(calls):
-            where, solver = jobs[len(walks)]
-            walks.append(one)
-            progress(f"robustness: {where.name}, {solver.name}", len(walks) / len(jobs))
+    for one in parallel.each(walk, jobs):
+        where, solver = jobs[len(walks)]
+        walks.append(one)
+        progress(f"robustness: {where.name}, {solver.name}", len(walks) / len(jobs))
     calm = {solver: one for (where, solver), one in zip(jobs, walks, strict=True) if where == CALM}
     rows = []
     for (where, solver), one in zip(jobs, walks, strict=True):

@@ -9,10 +9,12 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
+from contextlib import AbstractContextManager
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from defplan_mj.base import threads
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress
 from defplan_mj.study.build import build_of, differences
@@ -52,10 +54,11 @@ class Engine(Protocol):
 class Here:
     """One run after the other in this process, which shows how far each is."""
 
-    processes, asks = 2, False
+    asks = False
 
     def __init__(self, progress: Progress, work: Callable[..., Row] = run_job) -> None:
         self.progress, self.work = progress, work
+        self.processes = threads.available_processes()
 
     def room(self) -> int:
         return 1
@@ -199,10 +202,10 @@ def local_engine(jobs: int, progress: Progress) -> Iterator[Engine]:
 
 
 @contextlib.contextmanager
-def cluster_engine(
+def connected(
     address: str | None, file: Path | None, say: Callable[[str], None]
-) -> Iterator[Engine]:
-    """Yield the Dask cluster of a scheduler's address or file; say what its workers have in common.
+) -> Iterator[Client]:
+    """Yield a client of the Dask scheduler at an address or of a file; say what its workers have in common.
 
     Raises:
         DefplanError: it cannot be reached, has no workers, or one that would give other results.
@@ -222,6 +225,13 @@ def cluster_engine(
         raise DefplanError(f"there is no Dask scheduler at {where}: {error}") from error
     with client:
         say(require_workers(client, where))
+        yield client
+
+
+@contextlib.contextmanager
+def cluster_engine(connection: AbstractContextManager[Client]) -> Iterator[Engine]:
+    """Yield the engine of a Dask cluster that `connected` leads to."""
+    with connection as client:
         yield Cluster(client)
 
 

@@ -50,7 +50,7 @@ class Job:
     root: Path
     lenders: Sequence[Path] = ()
     remake: bool = False
-    processes: int = 2
+    processes: int = 1
     build: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -135,7 +135,7 @@ def test_a_cluster_that_cannot_give_the_same_results_is_refused(workers, builds,
 def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path):
     with (
         pytest.raises(DefplanError, match="the scheduler's file .* does not exist"),
-        engines.cluster_engine(None, tmp_path / "none.json", print),
+        engines.connected(None, tmp_path / "none.json", print),
     ):
         pass
 
