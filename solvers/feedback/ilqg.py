@@ -1,10 +1,7 @@
 """Feedback `ilqg`: iterative LQG around the DMP's output, over a short horizon (paper, section IV-A).
 
-Every step minimises E_obj + E_dmp over the next steps. E_dmp is what the target shapes are off from the DMP.
-E_obj is what the body is off from the gait's mean cycle while tasks are switched (`gait.mean_cycle`), as
-told from a frame that goes where the gait would go: the wanted motion, upright, in the wanted direction.
-The mean cycle is what the gait does when nothing but switching disturbs it, so that both terms are small then
-and the body nearly plays the DMP as it is.
+Every step minimises E_obj + E_dmp over the next steps. E_dmp is what the target shapes are off from the DMP,
+E_obj what the body is off from the gait's mean cycle (`following`).
 
 Five steps see less than a quarter of a cycle: too little to know that a lean ends in a fall. So the last
 step is weighed with the cost of going on along the cycle for ever, from the periodic Riccati equation.
@@ -12,49 +9,30 @@ step is weighed with the cost of going on along the cycle for ever, from the per
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from defplan_mj.base.space import PLANE, SPACES
+from defplan_mj.base.space import PLANE
 from defplan_mj.dynamics import tangent
 from defplan_mj.dynamics.reduced import ReducedDynamics
-from defplan_mj.dynamics.tangent import Frame
 from defplan_mj.gait.gait import Gait
-from defplan_mj.gait.mean_cycle import MeanCycle, mean_cycles, turn_tangent
-from defplan_solvers.feedback.ilqg_step import Cost, Guide, cost_to_go, optimise
+from defplan_solvers.feedback.following import Follower, Weights
+from defplan_solvers.feedback.ilqg_step import Cost, Guide, optimise
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(Weights):
     """What is weighed, how far ahead, and how hard.
 
     Attributes:
-        height: of the squared error of the height above the ground, 1/m^2.
-        velocity: s^2/m^2.
-        tilt, heading: 1/rad^2; in space, where no direction is up, heading is of every rotation.
-        spin: of the angular velocity, s^2/rad^2.
-        shape, rate: of the modal coordinates and their velocities, in units of the amplitude (and s).
-        effort: E_dmp, of the target shape less the DMP's, in units of the amplitude.
         horizon: steps.
         iterations: of a decision.
-        terminal: weigh the last step with the cost of going on for ever.
-        leash: largest error of heading that is carried into the next cycle, rad.
     """
 
-    height: float = 10.0
-    velocity: float = 1.0
-    tilt: float = 10.0
-    heading: float = 2.0
-    spin: float = 0.1
-    shape: float = 0.1
-    rate: float = 0.0
-    effort: float = 1.0
     horizon: int = 5
     iterations: int = 1
-    terminal: bool = True
-    leash: float = 0.3
 
 
 class BodyModel:
@@ -93,67 +71,11 @@ class BodyModel:
         return tangent.retract(x, z)
 
 
-@dataclass(frozen=True)
-class Track:
-    """What is followed in a cycle of one gait, and beyond its end by the horizon, told from its start.
-
-    Attributes:
-        states: (n + H + 1, nx).
-        controls: (n + H, r) the DMP's output.
-        weights: (n + H + 1, n_z, n_z) of E_obj.
-        onward: (n + H + 1, n_z, n_z) cost of going on for ever.
-        motion: of the frame over the cycle.
-    """
-
-    states: np.ndarray
-    controls: np.ndarray
-    weights: np.ndarray
-    onward: np.ndarray
-    motion: Frame
-
-
-def make_track(
-    cycle: MeanCycle, effort: np.ndarray, amplitude: np.ndarray, options: Options
-) -> Track:
-    """Return what to follow of a task's mean cycle.
-
-    Args:
-        effort: (r,) weights of the controls.
-        amplitude: (r,) of the gait.
-    """
-    n, ahead = len(cycle.shapes), options.horizon
-    states = cycle.unrolled(n + ahead)
-    weights = np.array([state_weights(x, amplitude, options) for x in states])
-    onward = weights
-    if options.terminal:
-        turn = turn_tangent(cycle.motion.matrix.T, weights.shape[1])
-        values = cost_to_go(cycle.a, cycle.b, weights[:n], effort, turn)
-        turns = [np.linalg.matrix_power(turn, i // n) for i in range(len(states))]
-        onward = np.array([t.T @ values[i % n] @ t for i, t in enumerate(turns)])
-    controls = cycle.shapes[np.arange(n + ahead) % n]
-    return Track(states, controls, weights, onward, cycle.motion)
-
-
-def state_weights(x: np.ndarray, amplitude: np.ndarray, options: Options) -> np.ndarray:
-    """Return the (n_z, n_z) weights of E_obj at a wanted state."""
-    r, nz = len(amplitude), len(x) - 1
-    weights = np.zeros(nz)
-    weights[2] = options.height
-    weights[6 : 6 + r] = options.shape / amplitude**2
-    weights[6 + r : 9 + r] = options.velocity
-    weights[9 + r : 12 + r] = options.spin
-    weights[12 + r : 12 + 2 * r] = options.rate / amplitude**2  # the last target is not judged
-    out = np.diag(weights)
-    attitude = Frame(x[:3], x[3:7]).matrix
-    out[3:6, 3:6] = attitude.T @ np.diag([options.tilt, options.tilt, options.heading]) @ attitude
-    return out
-
-
 class Ilqg:
     """Follows the gait's mean cycles by iterative LQG.
 
     Attributes:
-        tracks: (K) one a gait.
+        follower: of the mean cycles.
         costs: of the last decision: before the first iteration and after each.
     """
 
@@ -164,60 +86,34 @@ class Ilqg:
         space: str = PLANE.name,
         options: Options = Options(),
     ) -> None:
-        self._level, self._depth = SPACES[space].level, not dynamics.world.walks
-        if self._depth:
-            options = replace(options, height=0.0)
-        if not self._level:
-            options = replace(options, tilt=options.heading)
-        self.model, self.options, self.bound = BodyModel(dynamics), options, gait.amplitude
-        self.effort = options.effort / gait.amplitude**2
-        self.cycles = mean_cycles(dynamics, gait, level=self._level, depth=self._depth)
-        self.tracks = [
-            make_track(cycle, self.effort, gait.amplitude, options) for cycle in self.cycles
-        ]
+        self.model, self.options = BodyModel(dynamics), options
+        self.follower = Follower(dynamics, gait, space, options, options.horizon)
         self.reset()
 
     def reset(self) -> None:
         """Forget the frame that is followed and the last plan."""
+        self.follower.reset()
         self.costs: tuple[float, ...] = ()
-        self._track: Track | None = None
-        self._frame: Frame | None = None
         self._guide: Guide | None = None
-        self._more = np.zeros((self.options.horizon, len(self.bound)))
-        self._next = 0
+        self._more = np.zeros((self.options.horizon, len(self.follower.bound)))
 
     def begin(self, task: int, x: np.ndarray) -> None:
-        """Begin a cycle: the frame to follow begins where the body is, on its old course if near."""
-        here = Frame.of(x, self._level, self._depth)
-        if self._frame is not None and self._track is not None:
-            course = self._frame.then(self._track.motion).quaternion
-            error = 2 * tangent.attitude_tangent(here.quaternion).T @ course
-            error *= 1.0 if here.quaternion @ course >= 0 else -1.0
-            error *= min(1.0, self.options.leash / max(float(np.linalg.norm(error)), 1e-12))
-            turned = here.quaternion + tangent.attitude_tangent(here.quaternion) @ (0.5 * error)
-            here = Frame(here.position, turned / np.linalg.norm(turned))
-        self._frame, self._track, self._next = here, self.tracks[task], 0
+        """Begin a cycle of gait `task` in the state x (nx,)."""
+        self.follower.begin(task, x)
         self._guide = None  # it is told from the old frame
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """Return the first target shape (r,) of the best plan from `x` over the horizon."""
-        track, i, ahead = self._track, self._next, self.options.horizon
-        if track is None or self._frame is None:
-            raise RuntimeError("a cycle has to begin first")
-        self._next += 1
+        follower, ahead = self.follower, self.options.horizon
+        here, track, i = follower.inside(x), follower.track, follower.step
+        follower.step += 1
         weights = track.weights[i + 1 : i + 1 + ahead].copy()
         weights[-1] = track.onward[i + ahead]
         reference = track.controls[i : i + ahead]
-        cost = Cost(track.states[i + 1 : i + 1 + ahead], weights, reference, self.effort)
+        cost = Cost(track.states[i + 1 : i + 1 + ahead], weights, reference, follower.effort)
         start = reference + self._more
         plan = optimise(
-            self.model,
-            cost,
-            self._frame.inside(x),
-            start,
-            self.bound,
-            self.options.iterations,
-            self._guide,
+            *(self.model, cost, here, start, follower.bound, self.options.iterations, self._guide)
         )
         self.costs = plan.costs
         self._more[:-1] = (plan.controls - reference)[1:]

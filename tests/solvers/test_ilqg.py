@@ -143,13 +143,13 @@ def pushed(feedback: Ilqg, seed: int) -> np.ndarray:
     """A state beside the mean cycle of gait 1."""
     rng = np.random.default_rng(seed)
     z = rng.normal(size=27) * np.r_[np.full(6, 0.2), np.full(5, 0.3), np.full(11, 0.3), np.zeros(5)]
-    return tangent.retract(feedback.cycles[1].states[0], z)
+    return tangent.retract(feedback.follower.cycles[1].states[0], z)
 
 
 def problem(feedback: Ilqg) -> Cost:
-    track = feedback.tracks[1]
+    track = feedback.follower.tracks[1]
     weights = np.concatenate([track.weights[1:5], track.onward[5:6]])
-    return Cost(track.states[1:6], weights, track.controls[:5], feedback.effort)
+    return Cost(track.states[1:6], weights, track.controls[:5], feedback.follower.effort)
 
 
 def test_the_derivative_of_the_cost_is_that_of_finite_differences(feedback):
@@ -175,18 +175,18 @@ def test_the_derivative_of_the_cost_is_that_of_finite_differences(feedback):
 @pytest.mark.parametrize("seed", range(5))
 def test_no_iteration_raises_the_cost_and_some_lower_it(feedback, seed):
     cost, x0 = problem(feedback), pushed(feedback, seed)
-    plan = optimise(feedback.model, cost, x0, cost.controls, feedback.bound, 8)
+    plan = optimise(feedback.model, cost, x0, cost.controls, feedback.follower.bound, 8)
     assert len(plan.costs) == 9
     assert (np.diff(plan.costs) <= 0).all() and plan.costs[-1] < 0.95 * plan.costs[0]
     again = feedback.model.dynamics.rollout(x0, plan.controls)
     np.testing.assert_allclose(again, plan.states, atol=1e-6)
     assert plan.costs[-1] == pytest.approx(cost.value(feedback.model, again[1:], plan.controls))
-    assert (np.abs(plan.controls) <= feedback.bound).all()
+    assert (np.abs(plan.controls) <= feedback.follower.bound).all()
 
 
 def test_a_step_is_guessed_to_second_order_and_guesses_change_nothing(feedback):
     model, cost, x0 = feedback.model, problem(feedback), pushed(feedback, 2)
-    guide = optimise(model, cost, x0, cost.controls, feedback.bound, 1).guide
+    guide = optimise(model, cost, x0, cost.controls, feedback.follower.bound, 1).guide
     assert len(guide.before) == 4
     for i in range(4):
         after = model.step(guide.before[i], guide.controls[i])
@@ -199,16 +199,18 @@ def test_a_step_is_guessed_to_second_order_and_guesses_change_nothing(feedback):
         guess = about.guess(model, 1, tangent.difference(beside, x[1]), u)
         errors.append(np.abs(guess - model.step(beside, u)).max())
     assert errors[1] < 0.02 * errors[0] and errors[0] < 0.05
-    second = replace(cost, states=feedback.tracks[1].states[2:7])
+    second = replace(cost, states=feedback.follower.tracks[1].states[2:7])
     found = [
-        optimise(model, second, guide.before[0], cost.controls, feedback.bound, 1, given).controls
+        optimise(
+            model, second, guide.before[0], cost.controls, feedback.follower.bound, 1, given
+        ).controls
         for given in (None, guide)
     ]
     np.testing.assert_allclose(found[1], found[0], atol=1e-5)
 
 
 def test_a_body_on_the_mean_cycle_nearly_plays_the_dmp_as_it_is(feedback, fish_gait):
-    for task, cycle in enumerate(feedback.cycles):
+    for task, cycle in enumerate(feedback.follower.cycles):
         feedback.reset()
         _, shapes = drive(feedback.model.dynamics, feedback, [task], 32, cycle.states[0])
         more = (shapes - fish_gait.table()[task]) / fish_gait.amplitude
@@ -238,7 +240,7 @@ def test_in_space_a_decision_does_not_depend_on_any_attitude(fish_dynamics, fish
         runs.append(drive(weightless, feedback, [1, 2], 32, start))
     np.testing.assert_allclose(runs[0][1], runs[1][1], atol=1e-4)
     # and it turns a body that was struck on its way back into its course
-    cycle, off = feedback.cycles[1], []
+    cycle, off = feedback.follower.cycles[1], []
     spin = np.zeros(27)
     spin[14:17] = 1.0, -1.0, 1.0
     for one in (OpenLoop(fish_gait), feedback):
@@ -269,7 +271,9 @@ def switched(dynamics, gait, feedback, cycles=25):
 
 
 def test_heading_is_kept_many_times_better_than_in_open_loop(fish_dynamics, fish_gait, feedback):
-    wanted = np.array([2 * np.arcsin(cycle.motion.quaternion[3]) for cycle in feedback.cycles])
+    wanted = np.array(
+        [2 * np.arcsin(cycle.motion.quaternion[3]) for cycle in feedback.follower.cycles]
+    )
     errors = []
     for one in (OpenLoop(fish_gait), feedback):
         tasks, at, _ = switched(fish_dynamics, fish_gait, one)
