@@ -13,6 +13,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import meshio
 
@@ -44,13 +45,13 @@ def whole(form: str) -> tuple[str, bytes]:
 
 def _exported(form: str) -> bytes:
     if form == "gltf":
-        files = pill(1).export(file_type="gltf")
+        files: Any = pill(1).export(file_type="gltf")
         scene = json.loads(files["model.gltf"])
         data = base64.b64encode(files[scene["buffers"][0]["uri"]]).decode()
         scene["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{data}"
         return json.dumps(scene).encode()
-    data = pill(1).export(file_type=form)
-    return data.encode() if isinstance(data, str) else data
+    made: Any = pill(1).export(file_type=form)
+    return made.encode() if isinstance(made, str) else made
 
 
 def bombs() -> dict[str, Callable[[], bytes]]:
