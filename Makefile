@@ -8,7 +8,7 @@ SOURCES := requirements.lock pyproject.toml setup.py \
 	$(wildcard defplan_mj/kernel/*.[ch] defplan_mj/host/*.[ch])
 LINTED := defplan_mj tasks solvers tests
 
-.PHONY: help setup demo test test-full sanitize sanitize-fast bench soak hashes lint docs clean
+.PHONY: help setup demo test test-full sanitize sanitize-fast bench soak wheel hashes lint docs clean
 
 help:
 	@echo "make demo       build the fish from its mesh, train it, log and report it"
@@ -18,6 +18,7 @@ help:
 	@echo "make bench      time what the README's tables state"
 	@echo "make soak       a million steps of each robot, 10,000 bad inputs, 100 stops: at most 30 minutes"
 	@echo "                (make soak SOAK=--short tries it in 5)"
+	@echo "make wheel      a wheel (manylinux) and a source archive in dist"
 	@echo "make lint       ruff, mypy, which package may import which, lines of C within 100 columns"
 	@echo "make docs       the documentation as a site in build/site; a broken link is an error"
 	@echo "make clean      remove what was built (not .venv, not logs)"
@@ -56,6 +57,11 @@ sanitize sanitize-fast: $(READY)
 
 bench: $(READY)
 	$(VENV)/bin/defplan bench
+
+# The wheel's name tells which glibc its libraries need.
+wheel: $(READY)
+	$(PYTHON) setup.py -q sdist bdist_wheel
+	@ls dist/defplan-*
 
 # After a change of requirements.lock; it asks the package index and takes some minutes.
 hashes: | $(PYTHON)

@@ -15,6 +15,7 @@ import hashlib
 import importlib.util
 import os
 import platform
+import re
 import shlex
 import shutil
 import subprocess
@@ -23,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from setuptools import Extension, find_packages, setup
+from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
 ROOT = Path(__file__).resolve().parent
@@ -183,6 +185,29 @@ class BuildLibraries(build_ext):
         return [str(p) for library in libraries() for p in library.sources + library.headers]
 
 
+class TagByLibraries(bdist_wheel):
+    """Name a wheel by what its libraries need: any Python 3, and a C library of some age (PEP 600)."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        python, abi, machine = super().get_tag()
+        built = [Path(self.bdist_dir or "") / library.path for library in libraries()]
+        built = built if all(map(Path.is_file, built)) else [x.path for x in libraries()]
+        if not machine.startswith("linux_") or not all(map(Path.is_file, built)):
+            return python, abi, machine
+        major, minor = max(glibc(path) for path in built)
+        return "py3", "none", f"manylinux_{major}_{minor}_{machine.removeprefix('linux_')}"
+
+
+OLDEST_GLIBC = (2, 17)
+"""Of manylinux2014: MuJoCo's own wheels ask for it."""
+
+
+def glibc(library: Path) -> tuple[int, int]:
+    """Return the version of glibc that a library needs: the newest among the versions of its symbols."""
+    found = re.findall(rb"\0GLIBC_(\d+)\.(\d+)(?:\.\d+)?(?=\0)", library.read_bytes())
+    return max([OLDEST_GLIBC, *((int(major), int(minor)) for major, minor in found)])
+
+
 def packages() -> list[str]:
     """Return all packages; tasks/ and solvers/ are installed under names of their own."""
     found = find_packages(str(ROOT), include=["defplan_mj", "defplan_mj.*"])
@@ -203,5 +228,5 @@ setup(
     include_package_data=False,
     # The sources are listed in `libraries`; the entry makes setuptools run build_ext.
     ext_modules=[Extension("defplan_mj.kernel.libdefplan_kernel", sources=[])],
-    cmdclass={"build_ext": BuildLibraries},
+    cmdclass={"build_ext": BuildLibraries, "bdist_wheel": TagByLibraries},
 )

@@ -5,7 +5,8 @@ import warnings
 __version__ = "0.2.0"
 
 # dm_control tries GLFW on import, even where nothing will be drawn; without a screen it says so.
-warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing")
+for _said in ("DISPLAY environment variable is missing", "Failed to open display"):
+    warnings.filterwarnings("ignore", message=f".*{_said}")
 
 from defplan_mj.host.on_import import load_plugin_with_mujoco  # noqa: E402  after the filter
 from defplan_mj.rl.register import register_with_gymnasium  # noqa: E402

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,6 +20,7 @@ from defplan_mj.body.model import Body  # noqa: E402
 from defplan_mj.dynamics.reduced import ReducedDynamics  # noqa: E402
 from defplan_mj.gait.gait import Gait  # noqa: E402
 from tests.samples import bodies  # noqa: E402
+from tests.samples.leftovers import left_in  # noqa: E402
 from tests.samples.paths import ASSETS  # noqa: E402
 
 _RENDER = """
@@ -51,6 +54,18 @@ def pytest_configure(config: pytest.Config) -> None:
             config.defplan_renders = True  # type: ignore[attr-defined]
             return
     os.environ["MUJOCO_GL"] = "disable"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def temporary_files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Give the tests, and what they start, a folder for temporary files, in which they may leave none."""
+    folder = tmp_path_factory.mktemp("temporary")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", str(folder))
+        patch.setattr(tempfile, "tempdir", None)  # it is asked for anew
+        yield folder
+    left = left_in(folder)
+    assert not left, f"tests have left temporary files: {', '.join(left)}"
 
 
 @pytest.fixture(scope="session")

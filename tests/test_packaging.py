@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
 import shutil
 import subprocess
 import sys
+import sysconfig
+import tarfile
 import tomllib
+import venv
 import zipfile
 from pathlib import Path
 
@@ -133,16 +137,80 @@ def test_a_source_that_does_not_compile_leaves_the_old_library(tree):
     assert kernel.read_bytes() == before
 
 
-@pytest.mark.slow
-def test_a_wheel_holds_libraries_plugins_and_data(tree):
+@pytest.fixture(scope="module")
+def archives(tmp_path_factory):
+    """Return the wheel and the source archive, built from what the repository tracks."""
+    tree, made = tmp_path_factory.mktemp("tracked"), tmp_path_factory.mktemp("dist")
+    for name in tracked():
+        (tree / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tree / name)
     subprocess.run(
-        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "."],
+        [sys.executable, "setup.py", "-q", "sdist", "-d", made, "bdist_wheel", "-d", made],
         cwd=tree,
         check=True,
         capture_output=True,
     )
-    (wheel,) = tree.glob("defplan-*.whl")
-    assert "none-any" not in wheel.name  # it holds machine code
+    (wheel,), (source,) = made.glob("defplan-*.whl"), made.glob("defplan-*.tar.gz")
+    return wheel, source
+
+
+def tracked() -> list[str]:
+    """Return the files that the repository tracks; skip the test where that cannot be asked."""
+    done = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip("this is no repository")
+    return [name for name in done.stdout.split("\0") if name and (ROOT / name).is_file()]
+
+
+@pytest.mark.slow
+def test_a_source_archive_holds_all_that_the_repository_does_and_its_tests_run(archives, tmp_path):
+    _, source = archives
+    with tarfile.open(source) as archive:
+        archive.extractall(tmp_path, filter="data")
+    (tree,) = tmp_path.iterdir()
+    there = {path.relative_to(tree).as_posix() for path in tree.rglob("*") if path.is_file()}
+    assert set(tracked()) <= there
+    build(tree, DEFPLAN_MARCH="x86-64-v3" if "x86" in platform.machine() else "")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "tests/kernel/test_step.py", "tests/base"],
+        cwd=tree,
+        env={**os.environ, "PYTHONPATH": str(tree)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and " passed" in done.stdout, done.stdout
+
+
+@pytest.mark.slow
+def test_a_wheel_runs_where_there_is_no_compiler_nor_anything_else(archives, swim_log, tmp_path):
+    wheel, _ = archives
+    assert re.fullmatch(r"defplan-.*-py3-none-manylinux_2_\d+_[a-z0-9_]+\.whl", wheel.name)
+    venv.create(tmp_path / "env", with_pip=False)
+    (site,) = tmp_path.glob("env/lib/python*/site-packages")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    # what it depends on is installed here; this tree itself, editable, is not reached by that
+    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+
+    def defplan(*arguments: str) -> str:
+        done = subprocess.run(
+            [tmp_path / "env/bin/python", "-m", "defplan_mj", *arguments],
+            cwd=tmp_path,
+            env={"PATH": "", "HOME": str(tmp_path)},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert "kernel " in defplan("--version")
+    assert "fish-swim" in defplan("list")
+    assert "kernel and mujoco, identical to the bit" in defplan("replay", str(swim_log), "--quiet")
+
+
+@pytest.mark.slow
+def test_a_wheel_holds_libraries_plugins_and_data(archives):
+    wheel, _ = archives
     names = set(zipfile.ZipFile(wheel).namelist())
     wanted = {
         "defplan_mj/kernel/libdefplan_kernel.so",

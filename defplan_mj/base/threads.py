@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
+
+CGROUPS = Path("/sys/fs/cgroup")
 
 _Result = TypeVar("_Result")
 
@@ -44,10 +48,44 @@ def limit_threads(n: int) -> None:
 
 
 def available_cores() -> int:
-    """Return the number of cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """Return the number of cores this process may use: by its affinity, its cgroup's quota and SLURM."""
+    here = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    told = os.environ.get("SLURM_CPUS_PER_TASK", "")  # SLURM need not bind what it has allotted
+    allotted = int(told) if told.isascii() and told.isdigit() and len(told) < 9 else 0
+    return max(1, math.ceil(min(here, allotted or here, _quota())))
+
+
+def _quota() -> float:
+    """Return the cores that the cgroups of this process, as containers have them, let it use; inf: all."""
+    try:
+        lines = Path("/proc/self/cgroup").read_text().splitlines()
+    except OSError:  # no Linux
+        return math.inf
+    found = [math.inf]
+    for line in lines:
+        _, kinds, inside = line.split(":", 2)
+        if not kinds or "cpu" in kinds.split(","):
+            root = CGROUPS / ("cpu" if kinds else "")
+            folder = root / inside.lstrip("/")
+            # within a container the path may be the host's: then only the root is there
+            for place in (folder, *folder.parents):
+                found.append(_limit(place))
+                if place == root:
+                    break
+    return min(found)
+
+
+def _limit(folder: Path) -> float:
+    """Return the cores that one cgroup lets its processes use."""
+    try:
+        if (folder / "cpu.max").is_file():  # version 2
+            most, period = (folder / "cpu.max").read_text().split()
+        else:
+            most = (folder / "cpu.cfs_quota_us").read_text()
+            period = (folder / "cpu.cfs_period_us").read_text()
+        return float(most) / float(period) if float(most) > 0 else math.inf
+    except (OSError, ValueError, ZeroDivisionError):  # "max": no limit
+        return math.inf
 
 
 _processes: int | None = None

@@ -15,6 +15,7 @@ import meshio
 import numpy as np
 import trimesh
 
+from defplan_mj.base.bounded import TooLong, bounded
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body import cells as split
 
@@ -32,6 +33,10 @@ _UNITS = {
     "micrometer": 1e-6, "micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "decimeter": 0.1,
     "meter": 1.0, "inch": 0.0254, "foot": 0.3048, "feet": 0.3048,
 }  # fmt: skip
+# What reading may take, bytes and seconds of CPU: those who wrote the loaders trust the counts in a file.
+_MEMORY, _GROWTH = 600 << 20, 4
+_LARGE, _MORE_GROWTH = 50 << 20, 16
+_SECONDS, _SECONDS_PER_BYTE = 6.0, 1e-6
 _CURVED = 1e-3  # of the length: second-order cells are split at their edges' middles
 _MOST_STRAIGHTENED = 1e-2  # of the length
 
@@ -70,12 +75,17 @@ def read_file(path: Path) -> RawMesh:
         raise DefplanError(f"cannot read {path}: a mesh file ends in one of {known}")
     if path.stat().st_size == 0:
         raise DefplanError(f"{path} is empty: it has no bytes; export it again")
-    if form in _MUJOCO:
-        mesh = _mujoco_skin(path)
-    elif form in SURFACE_FORMATS:
-        mesh = _surface(path, form)
-    else:
-        mesh = (_mujoco_mesh(path) if form == ".msh" else None) or _cells(path, form)
+    size = path.stat().st_size
+    memory = _MEMORY + _GROWTH * min(size, _LARGE) + _MORE_GROWTH * max(size - _LARGE, 0)
+    try:
+        with bounded(memory, _SECONDS + _SECONDS_PER_BYTE * size):
+            mesh = _read(path, form)
+    except (MemoryError, TooLong) as error:
+        what = "memory" if isinstance(error, MemoryError) else "time"
+        raise DefplanError(
+            f"{path} asks for more {what} than a mesh of {size} bytes needs: it is damaged or no mesh;"
+            " export it again"
+        ) from None
     if len(mesh.triangles) == 0 and len(mesh.tetrahedra) == 0:
         if len(mesh.vertices):
             raise DefplanError(
@@ -90,6 +100,14 @@ def read_file(path: Path) -> RawMesh:
         if len(corners) and (corners.min() < 0 or corners.max() >= len(mesh.vertices)):
             raise DefplanError(f"{path} names vertices that it does not have: export it again")
     return mesh
+
+
+def _read(path: Path, form: str) -> RawMesh:
+    if form in _MUJOCO:
+        return _mujoco_skin(path)
+    if form in SURFACE_FORMATS:
+        return _surface(path, form)
+    return (_mujoco_mesh(path) if form == ".msh" else None) or _cells(path, form)
 
 
 def _attempt(path: Path, form: str, read: Callable[[], Any]) -> Any:

@@ -119,8 +119,6 @@ def train(
         env = _Robots(surrogate, navigation, seed, recipe)
         model = _build(env, seed, recipe)
         watch = _Checkpoints(surrogate, navigation, seed, recipe, seconds, progress)
-        # its own would leave a folder SB3-... among the temporary files
-        model.set_logger(Logger(None, []))
         model.learn(recipe.transitions, callback=watch, log_interval=1_000_000_000)
     finally:
         torch.set_num_threads(threads)
@@ -145,7 +143,7 @@ def _build(env: _Robots, seed: int, recipe: Recipe) -> _RobotsDQN:
     if recipe.convolutions:
         network["features_extractor_class"] = _SeeingBeams
         network["features_extractor_kwargs"] = {"navigation": env.robots.navigation}
-    return _RobotsDQN(
+    model = _RobotsDQN(
         "MlpPolicy",
         env,
         explore_range=recipe.explore_range,
@@ -165,6 +163,9 @@ def _build(env: _Robots, seed: int, recipe: Recipe) -> _RobotsDQN:
         seed=seed,
         device="cpu",
     )
+    # the one that it makes by itself leaves a folder SB3-... among the temporary files
+    model.set_logger(Logger(None, []))
+    return model
 
 
 class _Robots(VecEnv):

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tests.samples.leftovers import left_in
 from tests.samples.paths import ROOT
 from tests.samples.processes import heed_ctrl_c
 from tests.samples.tiny_run import said_by
@@ -142,10 +143,8 @@ def _left(logs: Path, temporary: Path) -> Iterator[str]:
                 yield f"a child is left: {command[:80]}"
         except OSError:
             continue
-    for path in temporary.iterdir():
-        # torch's own, one for a user, to be used again
-        if not path.name.startswith("torchinductor_"):
-            yield f"{path.name} is left among the temporary files"
+    for name in left_in(temporary):
+        yield f"{name} is left among the temporary files"
     folder = logs / "fish-swim-seed0"
     if not folder.is_dir():
         return

@@ -41,15 +41,16 @@ def stand_in() -> None:
         if name == "dql":
             import defplan_solvers.dql.training as training
 
-            training.Recipe.__init__.__defaults__ = _short(training.Recipe)
+            training.Recipe.__init__.__defaults__ = short(training.Recipe)
         return wave if name == "wave" else find_solver(name, kind)
 
     registry.get_task, registry.get_solver = task, solver
 
 
-def _short(recipe: Any) -> tuple:
+def short(recipe: Any) -> tuple:
     """Return the defaults of a recipe that trains for a second."""
-    shorter = {"transitions": 3000, "scenes": 100, "validation": 10, "checkpoints": 2}
+    held_out = {"targets": 10, "standing": 10, "moving": 10}
+    shorter = {"transitions": 3000, "scenes": 100, "checkpoints": 2, **held_out}
     fields = [f for f in dataclasses.fields(recipe) if f.default is not dataclasses.MISSING]
     assert set(shorter) <= {f.name for f in fields}
     return tuple(shorter.get(f.name, f.default) for f in fields)

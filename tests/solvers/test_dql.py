@@ -6,7 +6,6 @@ import itertools
 import numpy as np
 import pytest
 import torch
-from stable_baselines3.common.logger import Logger
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.planning.observation import Senses
@@ -22,6 +21,7 @@ from defplan_solvers.dql.dql import CNN, SOLVER, DqlPlanner, QNetwork
 from defplan_solvers.dql.laser_cnn import LaserCnn
 from defplan_solvers.dql.training import Recipe, _build, _Checkpoints, _reward, _Robots, train
 from tests.samples import planning as samples
+from tests.samples.leftovers import left_in
 
 NAVIGATION = Navigation()
 SPATIAL = Navigation(k2=30, beams=128, space="spatial")
@@ -96,10 +96,15 @@ def test_the_cnn_in_numpy_is_the_one_in_torch_and_its_file_gives_it_again(tmp_pa
         SOLVER.load(path, samples.surrogate(), NAVIGATION)
 
 
+def test_a_training_leaves_no_temporary_file(temporary_files):
+    before = left_in(temporary_files)
+    train(samples.surrogate(), NAVIGATION, 0, dataclasses.replace(SMALL, transitions=64), 0, silent)
+    assert left_in(temporary_files) == before
+
+
 def test_the_cnn_is_trained_with_all_else():
     small = dataclasses.replace(SMALL, convolutions=True)
     model = _build(_Robots(samples.surrogate(), NAVIGATION, 0, small), 0, small)
-    model.set_logger(Logger(None, []))
     first = model.q_net.features_extractor.cnn.frozen()
     model.learn(3000)
     last = model.q_net.features_extractor.cnn.frozen()

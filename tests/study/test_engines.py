@@ -50,9 +50,11 @@ def conduct_with_a_kill(root: Path, engine) -> str:
 
 
 def test_a_dask_worker_that_is_killed_in_the_middle_changes_no_bit_of_the_table(tmp_path, straight):
+    import dask.config
     from distributed import Client, LocalCluster
 
     with (
+        dask.config.set({"temporary-directory": str(tmp_path)}),  # its own stays
         LocalCluster(
             n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
         ) as cluster,
