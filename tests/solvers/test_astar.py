@@ -14,9 +14,11 @@ from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.search import astar, greedy
 from defplan_solvers.search.laser_map import LaserMap
+from defplan_solvers.search.manoeuvre_search import ManoeuvreSearch
 from defplan_solvers.search.manoeuvres import Manoeuvres
 from defplan_solvers.search.outlook import Outlook
 from tests.samples import planning as samples
+from tests.samples import slow_search
 
 NAVIGATION = Navigation()
 SPATIAL = Navigation(space="spatial", beams=128, k2=30)
@@ -81,6 +83,28 @@ def test_all_reach_the_target_where_nothing_is_in_the_way(solver, navigation, su
 def test_astar_reaches_targets_among_spheres():
     scenes = novel_scenes(SPATIAL, 6, 5)
     assert rate(astar.AstarPlanner, scenes, samples.swimmer(), SPATIAL, noise=1.0) == 1
+
+
+@BOTH
+def test_the_compiled_search_finds_what_the_one_in_numpy_finds(navigation, surrogate):
+    search, random = ManoeuvreSearch(surrogate, navigation), np.random.default_rng(0)
+    found = []
+    for number in range(30):
+        d, count = navigation.dimension, (0, 10, 25)[number % 3]
+        points, target = random.uniform(-5, 5, (count, d)), random.uniform(-8, 8, d)
+        before = int(random.integers(-1, surrogate.rest))
+        asked = points, 0.9, 0.5, target, before, 4.0
+        expected = slow_search.first_gait(search, *asked)
+        found.append((search.first_gait(*asked), expected))
+    # poses on the border of two cells may fall to either side: the arithmetic is not the same
+    assert sum(one == other for one, other in found) >= len(found) - 1
+    assert len({one for one, _ in found}) > 2
+
+
+def test_a_search_that_cannot_begin_finds_nothing():
+    search = ManoeuvreSearch(samples.surrogate(), NAVIGATION)
+    ring = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0, 2 * np.pi, 40)])
+    assert search.first_gait(ring, 1.2, 1.1, np.array([8.0, 0]), -1, 9.0) is None
 
 
 @BOTH
