@@ -180,6 +180,22 @@ def test_manoeuvres_of_a_robot_that_never_turns_in_place_are_its_gaits():
     assert np.array_equal(steps.motions.translations, motions.translations)
 
 
+@pytest.mark.parametrize("motion", [(0.15, 0.02, 0.1), (0.01, 0.0, 0.5), (0.0, 0.0, 0.0)])
+def test_a_robot_with_one_gait_is_planned_for_whatever_it_does(motion):
+    turn = np.array(
+        [[np.cos(motion[2]), -np.sin(motion[2])], [np.sin(motion[2]), np.cos(motion[2])]]
+    )
+    steps = Manoeuvres(Motions(turn[None], np.array([motion[:2]])), np.array([1.0, 0]))
+    assert len(steps.first) == len(steps.motions.translations) > 0
+
+
+def test_a_slow_robot_takes_steps_and_does_not_turn_in_its_place():
+    ways = np.array([[0.15, 0], [0.12, 0.02], [0.12, -0.02]])
+    slow = Motions(samples.surrogate().motions("planar").rotations, ways)
+    steps = Manoeuvres(slow, np.array([1.0, 0]))
+    assert list(steps.cycles) == [1, 1, 1] and not steps.in_place.any()
+
+
 def test_a_robot_that_walks_to_every_side_need_not_turn():
     ways = np.array([[0.5, 0], [-0.5, 0], [0, 0.5], [0, -0.5]])
     outlook = Outlook(Motions(np.tile(np.eye(2), (4, 1, 1)), ways), 1.0)
