@@ -156,11 +156,13 @@ class Effort:
         pairs: (before, after) pairs a gait that the surrogate is fitted to.
         episodes: unseen scenes of the evaluation.
         moving: episodes at training targets among moving obstacles, at each of four speeds (0: none).
+        unchecked: share of the unseen scenes that are gone through without the collision check, too.
     """
 
     pairs: int = 1000
     episodes: int = 200
     moving: int = 40
+    unchecked: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ class GaitProblem:
 
     def alone(self, task: int) -> GaitProblem:
         """Return the problem of one task only."""
-        return self._with([self.tasks[task]])
+        return self.of_tasks([self.tasks[task]])
 
     def at_most(self, advance: float) -> GaitProblem:
         """Return the problem whose tasks want no longer displacement of a cycle than `advance`, m."""
@@ -114,11 +114,12 @@ class GaitProblem:
             return self
         shares = [min(1.0, advance / (task.advance or 1.0)) for task in self.tasks]
         moves = [np.multiply(s, t.move) for s, t in zip(shares, self.tasks, strict=True)]
-        return self._with(
+        return self.of_tasks(
             [replace(t, move=tuple(m.tolist())) for t, m in zip(self.tasks, moves, strict=True)]
         )
 
-    def _with(self, tasks: Sequence[GaitTask]) -> GaitProblem:
+    def of_tasks(self, tasks: Sequence[GaitTask]) -> GaitProblem:
+        """Return the problem with other tasks."""
         steps = self.cycles * self.steps_per_cycle
         return GaitProblem(
             self.dynamics,

@@ -170,6 +170,24 @@ DP_API size_t dp_search_size(int nodes);
  * minus those of what comes nearest. */
 DP_API int dp_search(const dp_search_problem* problem, void* memory, int* plan);
 
+/* A search for a way to a target among points, in the robot's frame (astar.c). Of each gait before,
+ * and last of rest, there is a set of manoeuvres, and of the cycles that these are made of. */
+typedef struct {
+  int d, n_sets, before, n_points, n_axes, nodes; /* before: the first set; nodes: at most */
+  double goal_radius, clearance, least, weight, cell, heading, advance, per_radian, horizon;
+  const int *ways_at, *steps_at; /* (n_sets + 1) where the cycles and manoeuvres of a set begin */
+  const double* reach;           /* (n_sets) how far a set's cycles get */
+  const double *starts, *ends;   /* (cycles x d) */
+  const int *parents, *in_place; /* (cycles): the one before in its set or -1; if in place */
+  const double *rotations, *translations, *cycles; /* of manoeuvres: (x d x d), (x d), how many */
+  const int *ends_with, *firsts, *finals; /* of manoeuvres: last cycle, of its set; the end gaits */
+  const double *points, *target, *axes;   /* (n_points x d), (d), (n_axes x d): gaits advance so */
+} dp_astar_problem;
+/* Bytes of memory that it needs. */
+DP_API size_t dp_astar_size(const dp_astar_problem* problem);
+/* The first gait of the way, or of what comes nearest; -1: there is none. */
+DP_API int dp_astar(const dp_astar_problem* problem, void* memory);
+
 /* CasADi (casadi.c) can pass numbers only: a slot holds a copy of a model for its functions
  * defplan_step_<ss> (steps = 1), defplan_rollout_<ss> and, with feet, defplan_feet_<ss>, ss being
  * the slot in two digits. `key` (at most 64 characters) names the model; with `share` a slot of the

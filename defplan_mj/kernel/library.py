@@ -78,6 +78,22 @@ class SearchProblem(ctypes.Structure):
     ]
 
 
+class AstarProblem(ctypes.Structure):
+    """dp_astar_problem."""
+
+    _integers = ("d", "n_sets", "before", "n_points", "n_axes", "nodes")
+    _numbers = ("goal_radius", "clearance", "least", "weight", "cell", "heading", "advance")
+    _arrays = (
+        *("ways_at", "steps_at", "reach", "starts", "ends", "parents", "in_place", "rotations"),
+        *("translations", "cycles", "ends_with", "firsts", "finals", "points", "target", "axes"),
+    )
+    _fields_ = [
+        *((name, c_int) for name in _integers),
+        *((name, c_double) for name in (*_numbers, "per_radian", "horizon")),
+        *((name, c_void_p) for name in _arrays),
+    ]
+
+
 _array = np.ctypeslib.ndpointer(np.float64, flags="C_CONTIGUOUS")
 _pointer = ctypes.POINTER
 
@@ -150,6 +166,8 @@ def kernel() -> ctypes.CDLL:
         "dp_ways": (None, [c_int, c_int, i, f, f, i, c_int, f, f, f, f]),
         "dp_search_size": (c_size_t, [c_int]),
         "dp_search": (c_int, [p(SearchProblem), c_void_p, i]),
+        "dp_astar_size": (c_size_t, [p(AstarProblem)]),
+        "dp_astar": (c_int, [p(AstarProblem), c_void_p]),
         "dp_slot_open": (c_int, [m, c_int, c_char_p, c_int]),
         "dp_slot_close": (None, [c_int]),
         "dp_slot_sizes": (None, [c_int, c_char_p]),

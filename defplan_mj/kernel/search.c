@@ -3,8 +3,7 @@
 #include <string.h>
 
 #include "kernel.h"
-
-enum { MAX_D = 3 };
+#include "outlook.h"
 
 typedef struct {
   double position[MAX_D], frame[MAX_D * MAX_D], estimate;
@@ -17,27 +16,9 @@ size_t dp_search_size(int nodes) {
   return nodes * sizeof(Node) + (nodes + table) * sizeof(int);
 }
 
-static double dot(const double* a, const double* b, int d) {
-  double sum = 0;
-  for (int i = 0; i < d; i++) sum += a[i] * b[i];
-  return sum;
-}
-
-/* Cycles that are left in free space (solvers/search/outlook.py); 0 at the target. */
-static double rest(const dp_search_problem* p, const Node* node) {
-  double offset[MAX_D], local[MAX_D] = {0}, ahead = -1;
-  const int d = p->d;
-  for (int i = 0; i < d; i++) offset[i] = p->target[i] - node->position[i];
-  const double distance = sqrt(dot(offset, offset, d));
-  if (distance <= p->goal_radius) return 0;
-  for (int i = 0; i < d; i++)
-    for (int j = 0; j < d; j++) local[j] += offset[i] * node->frame[i * d + j];
-  for (int a = 0; a < p->n_axes; a++) {
-    const double along = dot(local, p->axes + a * d, d) / distance;
-    if (along > ahead) ahead = along;
-  }
-  const double turn = acos(ahead > 1 ? 1 : ahead < -1 ? -1 : ahead);
-  return (distance - p->goal_radius) / p->advance + p->per_radian * turn;
+static double rest(const dp_search_problem* p, const Node* at) {
+  return cycles_left(p->d, at->position, at->frame, p->target, p->goal_radius, p->advance,
+                     p->per_radian, p->n_axes, p->axes);
 }
 
 /* Whether the straight way of a cycle, `begun` cycles from now, keeps clear of all balls. */

@@ -38,21 +38,37 @@ def _inputs(run: Run, **options: Any) -> dict[str, Any]:
 
 
 def _make_evaluation(run: Run) -> Iterable[Path]:
-    """Evaluate with and without the shield; with it, log all at training targets and some in unseen scenes."""
+    """Evaluate with and without the shield; with it, log all at training targets and some in unseen scenes.
+
+    Of the unseen scenes those without the shield are as many as the task's effort says, the first ones.
+    """
     results: dict[str, dict[str, Any]] = {}
     logs: set[Path] = set()
     logged = {"k2": run.plan.spec.navigation.k2, "novel": run.plan.options.logged}
-    for scenes, count in logged.items():
-        log = Recorders(run.folder.path, scenes, count)
+    for scenes, most in logged.items():
+        log = Recorders(run.folder.path, scenes, most)
         with_shield = evaluate(run, scenes, True, log=log)
-        results[scenes] = {
-            "with_shield": with_shield,
-            "without_shield": evaluate(run, scenes, False),
-        }
-        logs |= {log.path(i) for i in range(min(count, with_shield["episodes"]))}
+        count = _unchecked(run) if scenes == "novel" else None
+        without = evaluate(run, scenes, False, episodes=count)
+        results[scenes] = {"with_shield": with_shield, "without_shield": without}
+        logs |= {log.path(i) for i in range(min(most, with_shield["episodes"]))}
     _remove_logs_but(run.folder.path, logs)
     write_json(run.file(EVALUATION_FILE), results)
     return [run.file(EVALUATION_FILE), *logs]
+
+
+def _unchecked(run: Run) -> int:
+    """Return how many unseen scenes are gone through without the shield."""
+    return max(1, round(run.plan.spec.effort.unchecked * run.plan.options.episodes))
+
+
+def _evaluation_inputs(run: Run) -> dict[str, Any]:
+    """Return what the evaluation depends on; that all scenes are gone through twice goes without saying."""
+    options = run.plan.options
+    counts = {"episodes": options.episodes, "logged": options.logged}
+    if _unchecked(run) < options.episodes:
+        counts["unchecked"] = _unchecked(run)
+    return _inputs(run, **counts)
 
 
 def _remove_logs_but(folder: Path, logs: set[Path]) -> None:
@@ -77,7 +93,7 @@ def without_rows(evaluation: dict[str, Any]) -> dict[str, Any]:
 
 EVALUATION = Stage(
     "evaluation",
-    lambda run: _inputs(run, episodes=run.plan.options.episodes, logged=run.plan.options.logged),
+    _evaluation_inputs,
     _make_evaluation,
     needs=_NEEDS,
     load=lambda run: read_json(run.file(EVALUATION_FILE), "evaluation"),

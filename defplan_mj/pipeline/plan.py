@@ -43,6 +43,8 @@ class RunOptions:
     moving: int = Effort.moving
 
 
+EFFORT = ("pairs", "episodes", "moving")
+"""Options that a task's effort says, where the command does not."""
 _NAMES = ("gait_solver", "planner", "feedback")
 _COUNTS = ("solver_seeds", "pairs", "episodes", "logged", "moving")
 CONFIGURATION = (*_NAMES, "rivals", *_COUNTS, "training_seconds")  # kept in run.json

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.pipeline.outlook import UNASKED, Anew, Consent, Outlook, why_anew
-from defplan_mj.pipeline.plan import CONFIGURATION, Plan, RunOptions, kept_options
+from defplan_mj.pipeline.plan import CONFIGURATION, EFFORT, Plan, RunOptions, kept_options
 from defplan_mj.pipeline.provenance import plain_data
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.stages import STAGES
@@ -257,7 +256,7 @@ def open_run(
     _check_task(path, spec, before, consent, fresh)
     given = {name: value for name, value in chosen.items() if value is not None}
     kept = kept_options(before)
-    usual = dataclasses.asdict(spec.effort)
+    usual = {name: getattr(spec.effort, name) for name in EFFORT}
     plan = Plan(spec, RunOptions(seed=seed, **{**usual, **({} if whole else kept), **given}))
     if fresh and whole:
         plan.check()  # before anything is forgotten

@@ -8,6 +8,17 @@ from defplan_mj.planning.surrogate import Motions
 
 IN_PLACE = 0.2
 """A cycle that moves the centre of mass by less than this turns the robot in its place, m."""
+IN_PLACE_SHARE = 0.4
+"""Of the longest way of a cycle, if that is shorter: a slow robot's steps are steps all the same."""
+
+
+def least_way(lengths: np.ndarray) -> float:
+    """Return the way from which on a cycle moves the robot and does not turn it in its place, m.
+
+    Args:
+        lengths: of the ways of all cycles, m.
+    """
+    return min(IN_PLACE, IN_PLACE_SHARE * float(lengths.max(initial=0.0)))
 
 
 class Ways:
@@ -29,7 +40,7 @@ class Ways:
         self._edge, self._length2 = edge, np.maximum((edge * edge).sum(1), 1e-12)
         self._start_edge = (self.start * edge).sum(1)
         self._start2 = (self.start * self.start).sum(1)
-        self.in_place = self._length2 < IN_PLACE**2
+        self.in_place = self._length2 < least_way(np.sqrt(self._length2)) ** 2
 
     def distances2(
         self, points: np.ndarray, drift: np.ndarray | None = None

@@ -173,7 +173,12 @@ BOUNDS: dict[type, dict[str, Bound]] = {
         "half_size": Bound(lambda sizes: all(s > 0 for s in sizes), "all above 0"),
         "heights": Bound(lambda h: h.ndim == 2 and min(h.shape) > 1, "a grid of 2 x 2 or more"),
     },
-    Effort: {"pairs": _from(1), "episodes": _from(1), "moving": _from(0)},
+    Effort: {
+        "pairs": _from(1),
+        "episodes": _from(1),
+        "moving": _from(0),
+        "unchecked": Bound(lambda x: 0 < x <= 1, "above 0, and 1 at most"),
+    },
     Navigation: {
         "distance": _POSITIVE,
         "goal_radius": _POSITIVE,

@@ -29,7 +29,7 @@ from defplan_mj.dynamics.terrain import STANDARD_GRAVITY
 from defplan_mj.dynamics.world import GROUND
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.style import lateral_share
-from defplan_mj.gait.trials import try_tasks
+from defplan_mj.gait.trials import ADVANCE, BENT_ADVANCE, STEP, TILT, TURN, try_tasks
 from defplan_mj.task import GaitTask, Navigation, TaskSpec, Weights
 from defplan_mj.taskfile.find import EFFORT, MEDIA, mesh_task_name
 
@@ -65,7 +65,8 @@ _MOST_STEPS = 200
 _MOST_MODES = 12
 _BENDING = 1.2  # summed share of the modes that is sideways bending: the fish's first four have 1.9
 _LEAST_ADVANCE, _LEAST_TURN = 0.05, 0.05  # of the length; rad: less is not worth a gait
-_MORE = 2.0  # than a short trial reached is wanted
+_MORE = {"planar": 2.0, "spatial": 2.0, "ground": 1.0}
+"""Times what a short trial reached is wanted; of a walker no more, or it falls while gaits are switched."""
 _WAYS = 6  # a time-out allows so many times the way
 
 
@@ -137,8 +138,7 @@ def guess_task(
         effort=EFFORT,
         navigation=_navigation(kind, size),
     )
-    if kind != "ground":
-        spec = _as_tried(spec, progress)
+    spec = _as_tried(spec, _MORE[kind], progress)
     progress("task: guessed", 1.0)
     surface = (
         body if isinstance(body, Surface) else Surface(body.vertices, boundary(body.tetrahedra)[0])
@@ -238,8 +238,8 @@ def _with_modes(path: Path, options: BodyOptions) -> tuple[BodyOptions, np.ndarr
 # ---- what it can do
 
 
-def _as_tried(spec: TaskSpec, progress: Progress) -> TaskSpec:
-    """Return a swimmer's task that wants twice what short trials of its body reached: half of it is asked for.
+def _as_tried(spec: TaskSpec, more: float, progress: Progress) -> TaskSpec:
+    """Return a task that wants `more` times what short trials of its body reached: half of it is asked for.
 
     At most what it wants already, and at least a twentieth of its length and of a radian a cycle. The slower
     it is, the later an episode times out.
@@ -252,11 +252,9 @@ def _as_tried(spec: TaskSpec, progress: Progress) -> TaskSpec:
     for task, done in zip(spec.gait_tasks, tried.trials, strict=True):
         turn, move = np.array(task.turn), np.array(task.move)
         if task.angle:
-            turn *= _wanted(_MORE * done.turn, _LEAST_TURN, task.angle) / task.angle
+            turn *= _wanted(more * done.turn, _LEAST_TURN, task.angle) / task.angle
         if task.advance:
-            move *= (
-                _wanted(_MORE * done.advance, _LEAST_ADVANCE * size, task.advance) / task.advance
-            )
+            move *= _wanted(more * done.advance, _LEAST_ADVANCE * size, task.advance) / task.advance
         tasks.append(dataclasses.replace(task, turn=_triple(turn), move=_triple(move)))
     slowest = min(d.advance for d, t in zip(tried.trials, tasks, strict=True) if not t.angle)
     usual = spec.navigation
@@ -291,14 +289,15 @@ def gait_tasks(
     if kind == "ground":
         sides = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
         return tuple(
-            GaitTask(name, move=(0.4 * length * x, 0.4 * length * y, 0.0))
+            GaitTask(name, move=(STEP * length * x, STEP * length * y, 0.0))
             for name, (x, y) in sides.items()
         )
     if kind == "planar":
+        bent = (BENT_ADVANCE * length, 0.0, 0.0)
         return (
-            GaitTask("forward", move=(0.5 * length, 0.0, 0.0)),
-            GaitTask("left", turn=(0.0, 0.0, 0.6), move=(0.3 * length, 0.0, 0.0)),
-            GaitTask("right", turn=(0.0, 0.0, -0.6), move=(0.3 * length, 0.0, 0.0)),
+            GaitTask("forward", move=(ADVANCE * length, 0.0, 0.0)),
+            GaitTask("left", turn=(0.0, 0.0, TURN), move=bent),
+            GaitTask("right", turn=(0.0, 0.0, -TURN), move=bent),
         )
     own = np.array((0.0, 0.0, 1.0) if axis is None else axis)
     first = np.array([1.0, 0.0, 0.0]) if abs(own[0]) < 0.5 else np.array([0.0, 0.0, -1.0])
@@ -309,8 +308,8 @@ def gait_tasks(
         "right": np.cross(first, own),
     }
     still = (0.0, 0.0, 0.0)
-    tilts = [GaitTask(n, _triple(0.45 * np.cross(own, to)), still) for n, to in names.items()]
-    return (*tilts, GaitTask("forward", move=_triple(0.5 * length * own)))
+    tilts = [GaitTask(n, _triple(TILT * np.cross(own, to)), still) for n, to in names.items()]
+    return (*tilts, GaitTask("forward", move=_triple(ADVANCE * length * own)))
 
 
 def _triple(vector: np.ndarray) -> tuple[float, float, float]:
@@ -365,9 +364,11 @@ def _navigation(kind: str, length: float) -> Navigation:
     """Return the navigation problem of the shipped tasks, half as far and in body lengths.
 
     Most of a run's time goes into its evaluation, and that into the way. There are half as many obstacles,
-    so that they stand as close together.
+    so that they stand as close together. A walker's targets are at 6 lengths: a stranger's steps are short.
     """
     near = Navigation(distance=10.0, k2_obstacles=1, novel_obstacles=5)
+    if kind == "ground":
+        near = dataclasses.replace(near, distance=6.0, novel_obstacles=3)
     usual = dataclasses.replace(near, beams=128, space="spatial") if kind == "spatial" else near
     names = ("distance", "goal_radius", "laser_range")
     return dataclasses.replace(usual, **{n: length * getattr(usual, n) for n in names})

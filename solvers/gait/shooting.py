@@ -49,7 +49,7 @@ class Shooting:
         starts: random starts.
         start_cycles: cycles of the straight task's trajectory.
         start_iterations: limit of ipopt's iterations for the straight task.
-        tried: start where short trials of each task end (`gait.trials`), and from nowhere else; swimmers only.
+        tried: start where short trials of each task end (`gait.trials`), and from nowhere else.
         rounds: (limit of iterations for all tasks, starts that go on), round after round.
         walking: the stages of a walker.
         bound: of alpha and beta.
@@ -87,7 +87,7 @@ class Shooting:
         """
         began = time.perf_counter()
         rng = np.random.default_rng(seed)
-        if start is None and self.tried and not problem.dynamics.world.walks:
+        if start is None and self.tried:
             tell = lambda message, done: progress(f"gait: {message}", 0.3 * done)  # noqa: E731
             start = try_tasks(problem, seed, tell).w
         given = start is not None

@@ -8,10 +8,9 @@ from defplan_mj.planning.planner import Observation, carried_out
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.task import Navigation
-from defplan_solvers.search.astar import MARGINS, search
+from defplan_solvers.search.astar import MARGINS
 from defplan_solvers.search.full_map import surface_points, told_obstacles
-from defplan_solvers.search.manoeuvres import Manoeuvres
-from defplan_solvers.search.outlook import Outlook
+from defplan_solvers.search.manoeuvre_search import ManoeuvreSearch
 from defplan_solvers.search.untrained import UntrainedSolver
 
 NAME = "astar-map"
@@ -26,9 +25,7 @@ class AstarMapPlanner:
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
         self.radius, self.dimension = surrogate.radius, navigation.dimension
-        self.outlook = Outlook(surrogate.motions(navigation.space), navigation.goal_radius)
-        motions, heading = surrogate.switched_motions(navigation.space), self.outlook.axes[0]
-        self.steps = [Manoeuvres(motions, heading, i) for i in range(surrogate.rest + 1)]
+        self.search = ManoeuvreSearch(surrogate, navigation)
         self.shield = Shield(self, surrogate, navigation)  # its rule, for when there is no plan
 
         self.reset()
@@ -42,11 +39,11 @@ class AstarMapPlanner:
         target = observation["target"][: self.dimension]
         obstacles = told_obstacles(observation, NAME)[:, : self.dimension + 1]
         points = surface_points(obstacles, SPACING, HORIZON + 3)
-        values = -self.outlook.after_each(target)
+        values = -self.search.outlook.after_each(target)
         for margin in MARGINS:
             clearance = self.radius + margin
             known = points, clearance, self.radius, target
-            gait = search(self.outlook, self.steps, *known, before=self.before, horizon=HORIZON)
+            gait = self.search.first_gait(*known, self.before, HORIZON)
             if gait is not None:
                 values[gait] = values.max() + 1
                 break

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from defplan_mj.planning.motion_tree import IN_PLACE, Ways
+from defplan_mj.planning.motion_tree import Ways, least_way
 from defplan_mj.planning.surrogate import Motions
 
 TURNS = 3  # cycles in place before the one that moves, at most
@@ -47,7 +47,8 @@ class Manoeuvres(Ways):
         known = heading[None]
         roots = [(-1, np.zeros(d), np.eye(d), -1)]  # cycle, place, frame, first gait
         # one that moves the robot does so whatever was before: the steps stay the same ones
-        moves = np.linalg.norm(motions.translations, axis=2).mean(0) >= IN_PLACE
+        ways = np.linalg.norm(motions.translations, axis=2).mean(0)
+        moves = ways >= least_way(ways)
         for depth in range(1, TURNS + 2):
             level, following = len(parents), []
             for parent, place, frame, begun in roots:

@@ -14,9 +14,11 @@ from defplan_mj.planning.surrogate_env import SurrogateEnv, run_on_surrogate
 from defplan_mj.task import Navigation
 from defplan_solvers.search import astar, greedy
 from defplan_solvers.search.laser_map import LaserMap
+from defplan_solvers.search.manoeuvre_search import ManoeuvreSearch
 from defplan_solvers.search.manoeuvres import Manoeuvres
 from defplan_solvers.search.outlook import Outlook
 from tests.samples import planning as samples
+from tests.samples import slow_search
 
 NAVIGATION = Navigation()
 SPATIAL = Navigation(space="spatial", beams=128, k2=30)
@@ -81,6 +83,28 @@ def test_all_reach_the_target_where_nothing_is_in_the_way(solver, navigation, su
 def test_astar_reaches_targets_among_spheres():
     scenes = novel_scenes(SPATIAL, 6, 5)
     assert rate(astar.AstarPlanner, scenes, samples.swimmer(), SPATIAL, noise=1.0) == 1
+
+
+@BOTH
+def test_the_compiled_search_finds_what_the_one_in_numpy_finds(navigation, surrogate):
+    search, random = ManoeuvreSearch(surrogate, navigation), np.random.default_rng(0)
+    found = []
+    for number in range(30):
+        d, count = navigation.dimension, (0, 10, 25)[number % 3]
+        points, target = random.uniform(-5, 5, (count, d)), random.uniform(-8, 8, d)
+        before = int(random.integers(-1, surrogate.rest))
+        asked = points, 0.9, 0.5, target, before, 4.0
+        expected = slow_search.first_gait(search, *asked)
+        found.append((search.first_gait(*asked), expected))
+    # poses on the border of two cells may fall to either side: the arithmetic is not the same
+    assert sum(one == other for one, other in found) >= len(found) - 1
+    assert len({one for one, _ in found}) > 2
+
+
+def test_a_search_that_cannot_begin_finds_nothing():
+    search = ManoeuvreSearch(samples.surrogate(), NAVIGATION)
+    ring = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0, 2 * np.pi, 40)])
+    assert search.first_gait(ring, 1.2, 1.1, np.array([8.0, 0]), -1, 9.0) is None
 
 
 @BOTH
@@ -154,6 +178,22 @@ def test_manoeuvres_of_a_robot_that_never_turns_in_place_are_its_gaits():
     assert list(steps.first) == [0, 1, 2] and list(steps.cycles) == [1, 1, 1]
     assert np.array_equal(steps.motions.rotations, motions.rotations)
     assert np.array_equal(steps.motions.translations, motions.translations)
+
+
+@pytest.mark.parametrize("motion", [(0.15, 0.02, 0.1), (0.01, 0.0, 0.5), (0.0, 0.0, 0.0)])
+def test_a_robot_with_one_gait_is_planned_for_whatever_it_does(motion):
+    turn = np.array(
+        [[np.cos(motion[2]), -np.sin(motion[2])], [np.sin(motion[2]), np.cos(motion[2])]]
+    )
+    steps = Manoeuvres(Motions(turn[None], np.array([motion[:2]])), np.array([1.0, 0]))
+    assert len(steps.first) == len(steps.motions.translations) > 0
+
+
+def test_a_slow_robot_takes_steps_and_does_not_turn_in_its_place():
+    ways = np.array([[0.15, 0], [0.12, 0.02], [0.12, -0.02]])
+    slow = Motions(samples.surrogate().motions("planar").rotations, ways)
+    steps = Manoeuvres(slow, np.array([1.0, 0]))
+    assert list(steps.cycles) == [1, 1, 1] and not steps.in_place.any()
 
 
 def test_a_robot_that_walks_to_every_side_need_not_turn():

@@ -19,9 +19,10 @@ from tests.samples.meshes import finned
 
 
 def legged() -> trimesh.Trimesh:
-    """Return a box on four legs, 1 m long, 0.5 m wide, 0.5 m high, with a neck in front: z up."""
+    """Return a box on four legs, 1 m long, 0.5 m wide, 0.5 m high, with neck and head in front: z up."""
     return _boxes(
         ((0.0, 0.0, 0.35), (1.0, 0.5, 0.3)), ((0.45, 0.0, 0.6), (0.1, 0.2, 0.2)),
+        ((0.55, 0.0, 0.65), (0.2, 0.2, 0.2)),
         *(((0.4 * x, 0.2 * y, 0.1), (0.1, 0.1, 0.2)) for x in (-1, 1) for y in (-1, 1)),
     )  # fmt: skip
 
@@ -66,10 +67,30 @@ def test_a_fish_is_seen_whichever_way_its_file_has_it(up, forward, backed):
     assert "heavier in front" in view.why
 
 
-@pytest.mark.parametrize(("up", "forward"), [("z", "x"), ("y", "z"), ("z", "y"), ("y", "x")])
-def test_a_walker_stands_on_its_legs(up, forward):
-    view = look(surface(legged(), frame_of(up, forward)), medium="ground")
-    assert (view.up, view.forward.strip("-")) == (up, forward)
+@pytest.mark.parametrize("medium", ["water", "ground"])
+@pytest.mark.parametrize(("up", "forward"), [("z", "x"), ("y", "z"), ("z", "-y"), ("y", "-x")])
+def test_what_has_legs_is_upright_and_looks_where_its_head_is(up, forward, medium):
+    view = look(surface(legged(), frame_of(up, forward)), medium=medium)
+    assert (view.up, view.forward) == (up, forward)
+    assert "stands on 4 feet" in view.why and "its head is beyond its feet" in view.why
+
+
+def test_legs_that_are_not_quite_alike_are_legs_too():
+    mesh = surface(legged(), frame_of("y", "z"))
+    moved = mesh.vertices.copy()
+    moved[:, 0] += 0.3 * moved[:, 2] ** 2  # the file's x is the body's left: it bends to one side
+    view = look(Surface(moved, mesh.faces), medium="ground")
+    assert (view.up, view.forward, view.mirrors) == ("y", "z", ())
+    assert "nearly alike across x" in view.why
+
+
+def test_what_has_no_legs_stands_on_its_base():
+    cone = trimesh.creation.cone(0.4, 1.0, sections=40)
+    cone.apply_translation((0.1, 0, 0))
+    cone.vertices[:, 0] += 0.6 * cone.vertices[:, 2] ** 2  # it leans
+    cone.vertices[:, 1] *= 0.8
+    view = look(surface(cone, frame_of("y", "z")), medium="ground")
+    assert view.up == "y" and "stands firmest on -y" in view.why
 
 
 def test_what_is_given_is_taken_and_the_rest_guessed():
@@ -133,7 +154,7 @@ def test_the_jellyfish_like_body_swims_in_space_as_its_task_does(monkeypatch):
     monkeypatch.setattr(
         "defplan_mj.taskfile.guess._with_modes", lambda _, body: (body, np.array([3.0, 16.0]))
     )
-    monkeypatch.setattr("defplan_mj.taskfile.guess._as_tried", lambda spec, _: spec)
+    monkeypatch.setattr("defplan_mj.taskfile.guess._as_tried", lambda spec, *_: spec)
     shipped = registry.get_task("quadruped-swim")
     spec = guess_task(shipped.mesh, "water").spec
     assert spec.navigation.space == "spatial" and spec.axis == shipped.axis
@@ -142,5 +163,5 @@ def test_the_jellyfish_like_body_swims_in_space_as_its_task_does(monkeypatch):
         assert np.allclose(guessed.direction, task.direction)
     ground = guess_task(shipped.mesh, "ground", length=2.0)
     assert ground.spec.world.walks and ground.spec.body.length == 2.0
-    assert ground.spec.navigation.distance == 20.0
+    assert ground.spec.navigation.distance == 12.0
     assert "--length" in ground.sentence and "\n" not in ground.sentence
