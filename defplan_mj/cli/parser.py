@@ -491,7 +491,7 @@ def _replay(sub: argparse.ArgumentParser) -> None:
         "--size",
         type=_size,
         metavar="WxH",
-        help="of the video in pixels (default: 640x360, of a picture 960x540)",
+        help="of the video in pixels (default: 480x270, of a picture 960x540)",
     )
     sub.add_argument(
         "--fps", type=_positive, default=25.0, metavar="N", help="frames a second (default: 25)"

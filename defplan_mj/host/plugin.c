@@ -12,11 +12,14 @@
  *   custom numerics, named by the config attributes `body` (the kernel's blob), `options` (the
  *   kernel's par; its time step is overwritten by opt.timestep), `scale` (target shape at ctrl = 1)
  *   and `terrain` (what the body stands on; without it there is no contact);
+ *   a model that was attached with a prefix or suffix has them around the names of its numerics and
+ *   of the instance, `reduced_fem`, from which they are read;
  *   its actuators, in order: their joints are the modal coordinates, slides on children of the body
  *   that carries the free joint, and their activations the last target shape;
  *   body_user (if 3 numbers) is the velocity of a mocap obstacle.
  * What it keeps is in plugin_state, laid out by the ST_* indices. It allocates nothing. */
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include <mujoco/mujoco.h>
@@ -37,6 +40,10 @@ enum {             /* indices of plugin_state */
 
 static const double CUTOFF = 1.0; /* m; the clearance sensor saturates here */
 
+static const char INSTANCE[] = "reduced_fem"; /* what build_spec calls an instance */
+
+enum { MAX_NAME = 256 };
+
 static const char* const ATTRIBUTES[] = {"body", "options", "scale", "terrain"};
 static const char* const DEFAULTS[] = {"defplan_body", "defplan_options", "defplan_scale",
                                        "defplan_terrain"};
@@ -49,10 +56,38 @@ typedef struct {
   const mjtNum *blob, *options, *scale, *terrain; /* terrain may be NULL */
 } layout;
 
+/* What `mjs_attach` has put around the name of an instance: the lengths of prefix and suffix, the
+ * whole name; nothing where the instance has another name. */
+typedef struct {
+  const char* name;
+  int prefix, suffix;
+} affixes;
+
+static affixes find_affixes(const mjModel* m, int instance) {
+  const char* name = mj_id2name(m, mjOBJ_PLUGIN, instance);
+  const char* found = name ? strstr(name, INSTANCE) : NULL;
+  if (!found) return (affixes) {"", 0, 0};
+  int prefix = (int)(found - name);
+  return (affixes) {name, prefix, (int)strlen(name) - prefix - (int)strlen(INSTANCE)};
+}
+
+/* Return the number of the numeric that attribute i names, with the affixes around it, or -1. */
+static int find_numeric_id(const mjModel* m, int instance, int i, affixes around) {
+  const char* name = mj_getPluginConfig(m, instance, ATTRIBUTES[i]);
+  char whole[MAX_NAME];
+  if (!name || !name[0]) name = DEFAULTS[i];
+  int length = snprintf(whole, sizeof(whole), "%.*s%s%s", around.prefix, around.name, name,
+                        around.name + strlen(around.name) - around.suffix);
+  return length < MAX_NAME ? mj_name2id(m, mjOBJ_NUMERIC, whole) : -1;
+}
+
 /* Return the data of the numeric that attribute i names, or NULL; its size in *size. */
 static const mjtNum* find_numeric(const mjModel* m, int instance, int i, int* size) {
-  const char* name = mj_getPluginConfig(m, instance, ATTRIBUTES[i]);
-  int id = mj_name2id(m, mjOBJ_NUMERIC, name && name[0] ? name : DEFAULTS[i]);
+  /* an attached model's numerics have its affixes, but what the config says has none; one that
+   * was given to an instance by hand may stand without. All are looked for where the body is. */
+  affixes around = find_affixes(m, instance);
+  if (find_numeric_id(m, instance, 0, around) < 0) around = (affixes) {"", 0, 0};
+  int id = find_numeric_id(m, instance, i, around);
   if (id < 0) return NULL;
   *size = m->numeric_size[id];
   return m->numeric_data + m->numeric_adr[id];

@@ -22,6 +22,7 @@ from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.base.space import PLANE
 from defplan_mj.body.model import Body
 from defplan_mj.dynamics.terrain import Terrain
+from defplan_mj.host.ground import height_above
 from defplan_mj.host.looks import LOOKS
 from defplan_mj.host.obstacles import set_scene
 from defplan_mj.host.scene import FLOOR_DEPTH, SUN, build_spec, compile_model, view_length
@@ -38,6 +39,10 @@ _TRAIL_RADIUS = {MAP: 0.06, OVERVIEW: 0.03}  # m
 _TRAIL_PIECES = 240  # a longer way is drawn in longer pieces
 _TARGET_RGBA = np.array([0.90, 0.16, 0.10, 1.0], np.float32)
 _SHADOW_RGBA = np.array([0.05, 0.08, 0.10, 0.22], np.float32)
+_GROUND, _SQUARE = (
+    120.0,
+    10.0,
+)  # m to each side, of ground that is not infinite; m, of what it is made of
 _TURNING_SECONDS = 0.8  # over which the heading is averaged that the camera at the side turns with
 _BACKENDS = ("egl", "osmesa", "glfw")
 _MOTE_RGBA = np.array([0.85, 0.95, 0.95, 0.55], np.float32)
@@ -52,15 +57,17 @@ class Quality:
         size: width, height in pixels.
         samples: of each pixel, against stairs along edges.
         shadows: whether the sun casts any.
+        fine: whether the ground reaches the horizon and round things are very round.
     """
 
     size: tuple[int, int]
     samples: int
     shadows: bool
+    fine: bool
 
 
-STILL = Quality((960, 540), 8, True)
-MOVING = Quality((640, 360), 0, False)
+STILL = Quality((960, 540), 8, True, True)
+MOVING = Quality((480, 270), 0, False, False)
 """A picture may take its time; in a video, edges move, and a machine without a GPU draws each pixel."""
 
 
@@ -101,6 +108,7 @@ class Offscreen:
         self._rect = mujoco.MjrRect(0, 0, width, height)
         self._option = mujoco.MjvOption()
         self.scene = mujoco.MjvScene(model, maxgeom=20000)
+        self._trail = 0, 0  # where in the scene its pieces begin, and how many are there
 
     def __enter__(self) -> Offscreen:
         return self
@@ -115,18 +123,21 @@ class Offscreen:
         camera: mujoco.MjvCamera,
         trail: np.ndarray | None = None,
         trail_radius: float = 0.012,
+        trail_every: int = 1,
         motes: np.ndarray | None = None,
         target: np.ndarray | None = None,
         shadow: np.ndarray | None = None,
+        shadow_radius: float = 0.24,
         caption: tuple[str, str] = ("", ""),
     ) -> np.ndarray:
         """Return the (height, width, 3) uint8 picture of `data`.
 
         Args:
-            trail: (n, 3) points to join by a line, m; of radius `trail_radius`, m (0: a thin line).
+            trail: (n, 3) points to join by a line, m, a piece to `trail_every` of them; of radius
+                `trail_radius`, m (0: a thin line). The next picture's must begin with the same points.
             motes: (n, 3) places of specks floating in the water, m; see `motes_around`.
             target: (3,) place of a ball with a pole on it, m.
-            shadow: (3,) place of a soft shadow of the size of a body, m.
+            shadow: (3,) place of a soft spot of shadow on level ground, m, of radius `shadow_radius`, m.
             caption: names and values, line by line, written into the upper left corner.
         """
         perturb, everything = mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_ALL
@@ -134,13 +145,13 @@ class Offscreen:
             self._model, data, self._option, perturb, camera, everything, self.scene
         )
         if trail is not None:
-            self._add_trail(trail, trail_radius)
+            self._add_trail(trail, trail_radius, trail_every)
         if motes is not None:
             self._add_motes(motes)
         if target is not None:
             self._add_target(target)
         if shadow is not None:
-            size = np.array([0.24, 0.24, 0.004])
+            size = np.array([shadow_radius, shadow_radius, 0.004])
             self._add(mujoco.mjtGeom.mjGEOM_ELLIPSOID, size, shadow, _SHADOW_RGBA)
         pixels = np.empty((self._rect.height, self._rect.width, 3), np.uint8)
         mujoco.mjr_render(self._rect, self.scene, self._mjr)
@@ -150,18 +161,24 @@ class Offscreen:
         mujoco.mjr_readPixels(pixels, None, self._rect, self._mjr)
         return np.ascontiguousarray(pixels[::-1])
 
-    def _add_trail(self, points: np.ndarray, radius: float) -> None:
+    def _add_trail(self, points: np.ndarray, radius: float, every: int) -> None:
+        # the pieces of the picture before are still in their places in the scene
+        first, there = self._trail
+        whole = (len(points) - 1) // every
+        if first != self.scene.ngeom or there > whole:
+            first, there = self.scene.ngeom, 0
+        self.scene.ngeom += there
+        corners = np.concatenate([points[there * every :: every], points[-1:]])
         # a line casts no shadow, and costs a tenth of a capsule
         kind = mujoco.mjtGeom.mjGEOM_CAPSULE if radius else mujoco.mjtGeom.mjGEOM_LINE
-        every = -(-len(points) // _TRAIL_PIECES)
-        points = np.concatenate([points[:-1:every], points[-1:]])
-        for start, end in zip(points, points[1:], strict=False):
+        for start, end in zip(corners, corners[1:], strict=False):
             if self.scene.ngeom == self.scene.maxgeom:
-                return
+                break
             geom = self.scene.geoms[self.scene.ngeom]
             mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), TRAIL_RGBA)
             mujoco.mjv_connector(geom, kind, radius or 2.0, start, end)
             self.scene.ngeom += 1
+        self._trail = first, min(whole, self.scene.ngeom - first)
 
     def _add_target(self, place: np.ndarray) -> None:
         """Add what shows a target from afar: its radius is drawn by the model."""
@@ -181,11 +198,22 @@ class Offscreen:
 
     def _add_motes(self, places: np.ndarray) -> None:
         size, upright = np.full(3, _MOTE_SIZE), np.eye(3).ravel()
+        places = places[self._in_view(places)]
         for place in places[: self.scene.maxgeom - self.scene.ngeom]:
             geom = self.scene.geoms[self.scene.ngeom]
             mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_BOX, size, place, upright, _MOTE_RGBA)
             geom.transparent = 1
             self.scene.ngeom += 1
+
+    def _in_view(self, places: np.ndarray) -> np.ndarray:
+        """Return which places (n, 3) the scene's camera, one with perspective, has in its picture, (n,)."""
+        camera = self.scene.camera[0]  # one eye and the other are closer than a mote is large
+        ahead, up = np.array(camera.forward), np.array(camera.up)
+        axes = np.stack([np.cross(ahead, up), up, ahead], axis=1)
+        across, high, along = ((places - np.array(camera.pos)) @ axes).T
+        rise = camera.frustum_top / camera.frustum_near * along
+        wide = rise * self._rect.width / self._rect.height
+        return (along > 0) & (np.abs(high) < rise) & (np.abs(across) < wide)
 
 
 def motes_around(centre: np.ndarray) -> np.ndarray:
@@ -303,13 +331,17 @@ class _Film:
             model.site_rgba[:, 3] = 0
             model.site_matid[:] = -1
         model.vis.quality.offsamples = self.quality.samples
+        if not self.quality.fine:
+            _simplify(model)
         self._aim_shadows(near)
         nq = model.nq
         view = _camera(model, self.camera, states[:, :3], scene, height / width)
         headings = self._headings() if self.camera == SIDE and look.side_turns else None
         with Offscreen(model, width, height) as offscreen:
-            # near swimmers cast theirs far below, and specks on themselves: a soft spot does
-            shadows = self.walks if near else self.camera != MAP and self.quality.shadows
+            # near swimmers cast theirs far below, and specks on themselves: a soft spot does, as it
+            # does in videos, where the sun's shadows cost more than all the rest
+            shadows = self.quality.shadows and (self.walks if near else self.camera != MAP)
+            spot = look.sea_bed and near and not shadows
             offscreen.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
             for number, index in enumerate(indices):
                 progress("drawing", number / len(indices))
@@ -324,14 +356,18 @@ class _Film:
                 if headings is not None:
                     _beside(view, x[:3], headings[index], 1.93 * self.length)
                 below = x[2] + FLOOR_DEPTH
-                floor = x[:3] + below * SUN / -SUN[2] + [0, 0, 0.01]
+                if self.walks:
+                    below = height_above(model, data, x[:3])
+                ground = x[:3] + below * SUN / -SUN[2] + [0, 0, 0.01]
                 yield offscreen.picture(
                     *(data, view),
                     trail=states[: index + 1, :3] if self.trail else None,
                     trail_radius=_TRAIL_RADIUS.get(self.camera, 0.0),
+                    trail_every=-(-len(states) // _TRAIL_PIECES),
                     motes=motes_around(x[:3]) if look.motes and near else None,
                     target=None if scene is None else scene.target,
-                    shadow=floor if look.sea_bed and near and not self.walks else None,
+                    shadow=ground if spot and below > 0 else None,
+                    shadow_radius=(0.32 if self.walks else 0.24) * self.length,
                     caption=("", "") if caption is None else caption(int(index)),
                 )
         progress("drawing", 1.0)
@@ -345,8 +381,6 @@ class _Film:
                 float(np.linalg.norm(p - self.states[-1, :3], axis=1).max(initial=0)) for p in seen
             )
         model.vis.map.shadowclip = reach / model.stat.extent
-        if not self.quality.shadows:
-            model.vis.quality.shadowsize = 1024
 
     def _headings(self) -> np.ndarray:
         """Return the headings (n,) of the states, rad, without what a stroke turns the body to and fro."""
@@ -354,6 +388,16 @@ class _Film:
         half = round(0.5 * _TURNING_SECONDS / self.timestep)
         padded = np.pad(heading, half, mode="edge")
         return np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), mode="valid")
+
+
+def _simplify(model: mujoco.MjModel) -> None:
+    """Take out of the pictures what costs much without a GPU and is hardly seen.
+
+    MuJoCo draws an infinite plane as some 40,000 squares, twice with shadows.
+    """
+    for geom in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
+        model.geom_size[geom] = [_GROUND, _GROUND, _SQUARE]
+    model.vis.quality.numslices, model.vis.quality.numstacks = 24, 8
 
 
 def _beside(camera: mujoco.MjvCamera, place: np.ndarray, heading: float, distance: float) -> None:
@@ -431,8 +475,9 @@ def _write(frames: Iterator[np.ndarray], path: Path, fps: float, still: bool) ->
         if still:
             imageio.imwrite(temporary, next(frames))
         elif path.suffix.lower() == ".mp4":
-            options: dict[str, Any] = {"quality": 8, "macro_block_size": 2}
-            options["output_params"] = ["-preset", "veryfast"]
+            options: dict[str, Any] = {"quality": None, "macro_block_size": 2}
+            # with slower presets, to compress a picture costs as much as to draw it
+            options["output_params"] = ["-crf", "20", "-preset", "ultrafast"]
             writer: Any
             with imageio.get_writer(temporary, fps=fps, **options) as writer:
                 for frame in frames:

@@ -18,6 +18,9 @@ from dm_control.rl import control
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.host.physics import Physics
 from defplan_mj.host.scene import ROBOT
+from defplan_mj.host.viewer_keys import Keys, Text
+
+_GLANCE = 1 / 30  # s, between looks at the keys while paused
 
 Policy = Callable[[dm_env.TimeStep], Any]
 
@@ -57,10 +60,11 @@ def view(
     Args:
         policy: returns an action of `environment` for its last time step.
         episodes: stop after so many; None goes on until the window is closed.
-        speed: simulated seconds a second of wall time.
+        speed: simulated seconds a second of wall time, until a key changes it (`viewer_keys`).
 
     Returns:
-        The outcomes of the finished episodes, of tasks that have an `outcome`.
+        The outcomes of the finished episodes, of tasks that have an `outcome`; "skipped" of those that
+        the user had enough of.
 
     Raises:
         DefplanError: there is no screen.
@@ -71,15 +75,15 @@ def view(
     physics, task = environment.physics, environment.task
     outcomes: list[str] = []
     others = set(threading.enumerate())
-    model, data = physics.model.ptr, physics.data.ptr
-    with viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as window:
+    model, data, keys = physics.model.ptr, physics.data.ptr, Keys(speed)
+    with viewer.launch_passive(
+        model, data, key_callback=keys.press, show_left_ui=False, show_right_ui=False
+    ) as window:
         follow_robot(window.cam, model)
-        pace = _Pace(speed)
+        shown = _Shown(window, keys)
 
         def show(physics: Physics, target_shape: np.ndarray | None = None) -> None:
-            if window.is_running():
-                window.sync()
-                pace.wait(physics.time())
+            shown.picture(physics.time())
 
         hooked = hasattr(task, "step_hook")
         before = task.step_hook if hooked else None
@@ -88,12 +92,13 @@ def view(
         try:
             while window.is_running() and (episodes is None or len(outcomes) < episodes):
                 step = environment.reset()
-                pace.start(physics.time())
-                while window.is_running() and not step.last():
+                keys.skipping = False
+                shown.start(physics.time())
+                while window.is_running() and not (step.last() or keys.skipping):
                     step = environment.step(policy(step))
                     if not hooked:
                         show(physics)
-                outcomes.append(getattr(task, "outcome", ""))
+                outcomes.append("skipped" if keys.skipping else getattr(task, "outcome", ""))
         finally:
             if hooked:
                 task.step_hook = before
@@ -122,16 +127,38 @@ def play(gaits: Sequence[int]) -> Policy:
     return policy
 
 
-class _Pace:
-    """Holds simulated time to wall time."""
+class _Shown:
+    """The pictures and texts of a window, held to wall time as the keys want it."""
 
-    def __init__(self, speed: float):
-        self._speed = speed
+    def __init__(self, window: Any, keys: Keys):
+        self._window, self._keys = window, keys
+        self._texts: list[Text] = []
         self.start(0.0)
 
     def start(self, simulated: float) -> None:
+        """Count time from here on."""
+        self._speed = self._keys.speed
         self._simulated, self._wall = simulated, time.monotonic()
 
-    def wait(self, simulated: float) -> None:
+    def picture(self, simulated: float) -> None:
+        """Show the present state when it is due, and wait while the keys say so."""
+        window, keys = self._window, self._keys
+        if not window.is_running() or keys.skipping:
+            return
+        self._draw(simulated)
+        held = False
+        while window.is_running() and keys.holds():
+            held = True
+            time.sleep(_GLANCE)
+            self._draw(simulated)
+        if held or keys.speed != self._speed:
+            self.start(simulated)
         due = self._wall + (simulated - self._simulated) / self._speed
         time.sleep(max(0.0, due - time.monotonic()))
+
+    def _draw(self, simulated: float) -> None:
+        texts = self._keys.texts(simulated)
+        if texts != self._texts:
+            self._window.set_texts(texts)
+            self._texts = texts
+        self._window.sync()

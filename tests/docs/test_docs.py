@@ -49,6 +49,12 @@ def test_the_index_names_every_page():
     assert pages <= linked
 
 
+def test_the_site_s_menu_has_every_page():
+    menu = (ROOT / "mkdocs.yml").read_text().partition("\nnav:\n")[2]
+    named = re.findall(r"(\S+\.md)$", menu, re.MULTILINE)
+    assert sorted(named) == sorted(page.name for page in (ROOT / "docs").glob("*.md"))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_in_shell_blocks_are_understood(page):
     for command in shell_lines(page):

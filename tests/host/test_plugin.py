@@ -15,8 +15,12 @@ from mujoco import rollout
 from mujoco.batch import Batch
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.dynamics.reduced import ReducedDynamics
+from defplan_mj.dynamics.terrain import Terrain
 from defplan_mj.host.plugin import load_plugin
 from defplan_mj.host.scene import build_spec, compile_model
+from defplan_mj.registry import get_task
+from defplan_mj.studies import check
 from tests.samples import host as samples
 
 FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -156,6 +160,63 @@ def test_python_threads_step_alike(model, controls):
         jobs = [pool.submit(_run, model, mujoco.MjData(model), controls[:60]) for _ in range(4)]
         for job in jobs:
             assert np.array_equal(job.result(), expected)
+
+
+def _attached(world: mujoco.MjSpec, robot: mujoco.MjSpec, prefix: str, place=(0, 0, 0)) -> None:
+    frame = world.worldbody.add_frame(pos=place)
+    world.attach(robot, prefix=prefix, suffix="_1", frame=frame)
+
+
+@pytest.mark.filterwarnings("ignore:Attach conflict")
+def test_robots_attached_with_prefixes_do_what_they_do_alone(model, controls):
+    """A swimmer and a walker in one world: terrain, body and options are each one's own."""
+    ground, body = Terrain(), check.packaged_robot(get_task("quadruped-walk")).body
+    walker = build_spec(body, 0.015, terrain=ground)
+    walking = compile_model(walker)
+    world = mujoco.MjSpec()
+    world.option.timestep = 0.015
+    world.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    world.worldbody.add_geom(size=[0.2, 0, 0], pos=[0, 0, 40])
+    _attached(world, build_spec(samples.fish(), 0.015), "fish/", (0, 0, 30))
+    _attached(world, walker, "walker/")
+    together = compile_model(world)
+    data, alone = mujoco.MjData(together), mujoco.MjData(walking)
+    swimming = samples.dynamics(0.015)
+    r = samples.fish().n_modes
+    alone.qpos[:] = ReducedDynamics(body, 0.015, ground).rest_state()[: walking.nq]
+    data.qpos[7 + r :] = alone.qpos
+    x = swimming.rest_state()
+    x[2] = 30.0
+    for control in controls[:40]:
+        data.ctrl[:r] = control
+        data.ctrl[r:] = alone.ctrl[:] = 0.1 * np.resize(control, walking.nu)
+        mujoco.mj_step(together, data)
+        mujoco.mj_step(walking, alone)
+        x = swimming.step(x, samples.fish().amplitude * control)
+    assert np.array_equal(data.qpos[: 7 + r], x[: 7 + r])
+    assert np.array_equal(data.qpos[7 + r :], alone.qpos)
+    assert np.array_equal(data.act, np.concatenate([x[-r:], alone.act]))
+    assert data.sensor("fish/clearance_1").data == 1.0
+
+
+@pytest.mark.filterwarnings("ignore:Attach conflict")
+def test_an_attached_robot_wears_its_own_deformed_skin(model, controls):
+    world = mujoco.MjSpec()
+    world.option.timestep = 0.04
+    _attached(world, build_spec(samples.fish(), 0.04), "a")
+    attached = compile_model(world)
+    drawn = []
+    for each in (attached, copy.copy(model)):
+        data = mujoco.MjData(each)
+        _run(each, data, controls[:10])
+        scene = mujoco.MjvScene(each, maxgeom=100)
+        options, camera = mujoco.MjvOption(), mujoco.MjvCamera()
+        perturb, everything = mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(each, data, options, perturb, camera, everything, scene)
+        drawn.append(each.skin_vert.copy())
+    assert np.array_equal(*drawn)
+    points = samples.fish().vertices[samples.fish().surface]
+    assert not np.allclose(drawn[0], points, atol=1e-3)
 
 
 def test_other_bodies_keep_mujocos_dynamics(controls):
