@@ -1,4 +1,4 @@
-"""Each block of Python in the documentation runs: here, or where `ELSEWHERE` says."""
+"""The blocks of Python in the documentation run: here, or where `ELSEWHERE` says."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ from tests.samples.paths import ROOT
 ELSEWHERE = {
     "tutorials.md": (5, "test_tutorials.py"),
     "plugins.md": (4, "test_docs.py, test_adding.py"),
-    "studies.md": (1, "tests/study/test_run.py reads the same file"),
+    "studies.md": (
+        1,
+        "tests/study/test_conduct.py reads the same table its own way, not this block",
+    ),
 }
 """How many blocks of these pages are run, and by what."""
 
