@@ -393,7 +393,7 @@ class _Film:
 def _simplify(model: mujoco.MjModel) -> None:
     """Take out of the pictures what costs much without a GPU and is hardly seen.
 
-    MuJoCo draws an infinite plane as some 40,000 squares, twice with shadows.
+    MuJoCo draws an infinite plane as many squares, twice with shadows: 4 and 17 ms a picture.
     """
     for geom in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
         model.geom_size[geom] = [_GROUND, _GROUND, _SQUARE]

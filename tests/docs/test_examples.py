@@ -56,6 +56,21 @@ def test_a_gait_takes_the_fish_of_the_suite_a_body_length_ahead():
     assert example("environment").main() > 1.0
 
 
+def test_a_policy_learns_to_swim_and_its_curve_is_the_file_s(tmp_path):
+    """The whole training takes minutes: here its first rollout, which is that of the curve in the repository."""
+    module = example("train")
+    module.main(tmp_path, module.ROBOTS * module.ROLLOUT)
+    new, kept = ((f / "train.csv").read_text().splitlines() for f in (tmp_path, EXAMPLES))
+    assert new[0] == kept[0] and len(new) == 2
+    assert np.fromstring(new[1], sep=",") == pytest.approx(
+        np.fromstring(kept[1], sep=","), rel=0.02
+    )
+    rewards = np.loadtxt(kept, delimiter=",", skiprows=1)[:, 1]
+    assert len(rewards) == module.DECISIONS / (module.ROBOTS * module.ROLLOUT)
+    assert rewards[-8:].mean() > 2.5 * rewards[:8].mean()
+    assert (tmp_path / "train.png").stat().st_size > 1000
+
+
 def test_every_example_is_named_where_examples_are_listed_and_run_by_a_test():
     page = (ROOT / "docs/index.md").read_text()
     tests = "".join(p.read_text() for p in (ROOT / "tests").rglob("test_*.py"))

@@ -36,7 +36,7 @@ def test_the_ids_are_there_in_whatever_order_things_are_imported(order):
 
 
 @pytest.mark.filterwarnings("ignore:.*infinity")
-@pytest.mark.parametrize("name", ["defplan/FishSwim-v0", "defplan/FishNavigate-v0"])
+@pytest.mark.parametrize("name", ALL)
 def test_gymnasiums_checker_finds_nothing(name):
     env = gymnasium.make(name).unwrapped
     check_env(env, skip_render_check=True)
@@ -127,12 +127,14 @@ def test_what_is_no_gait_is_refused_in_one_sentence(action):
     env.close()
 
 
-def test_a_pickled_environment_goes_on_as_it_was():
-    env = gymnasium.make("defplan/FishNavigate-v0").unwrapped
+@pytest.mark.parametrize("name", ALL)
+def test_a_pickled_environment_goes_on_as_it_was(name):
+    env = gymnasium.make(name).unwrapped
     env.reset(seed=4)
-    env.step(np.int64(1))
+    action = env.action_space.sample()
+    env.step(action)
     again = pickle.loads(pickle.dumps(env))
-    assert np.array_equal(again.step(0)[0], env.step(0)[0])
+    assert np.array_equal(again.step(action)[0], env.step(action)[0])
     env.close()
 
 
