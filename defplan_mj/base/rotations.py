@@ -51,11 +51,6 @@ def product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     return wxyz(rotation(p) * rotation(q))
 
 
-def inverse(quaternion: np.ndarray) -> np.ndarray:
-    """Return the quaternion (4,) of the turn back."""
-    return quaternion * [1.0, -1.0, -1.0, -1.0]
-
-
 def heading(matrix: np.ndarray) -> np.ndarray:
     """Return the heading (...,), rad, of rotation matrices (..., d, d): where the x axis points."""
     return np.arctan2(matrix[..., 1, 0], matrix[..., 0, 0])

@@ -6,6 +6,8 @@ q (r), of the velocity (3, world), of the angular velocity (3, body), of dq/dt (
 
 from __future__ import annotations
 
+import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,16 +103,22 @@ class Frame:
             quaternion = x[3:7] / np.linalg.norm(x[3:7])
         return cls(np.array([x[0], x[1], x[2] if depth else 0.0]), quaternion)
 
-    @property
+    # made once: a feedback asks for them at each step
+    @functools.cached_property
     def matrix(self) -> np.ndarray:
         """(3, 3) rotation: columns are the frame's axes in the world."""
         return rotations.matrix(self.quaternion)
 
+    @functools.cached_property
+    def _turned(self) -> np.ndarray:
+        """(4, 4), orthogonal: what it makes of a quaternion told from this frame is that in the world."""
+        return np.column_stack([self.quaternion, attitude_tangent(self.quaternion)])
+
     def inside(self, x: np.ndarray) -> np.ndarray:
         """Return the state (nx,) as told from this frame."""
-        back = rotations.inverse(self.quaternion)
         y, matrix = x.copy(), self.matrix
-        y[:3], y[3:7] = (x[:3] - self.position) @ matrix, rotations.product(back, x[3:7])
+        y[:3], y[3:7] = (x[:3] - self.position) @ matrix, x[3:7] @ self._turned
+        y[3:7] /= math.sqrt(y[3:7] @ y[3:7])
         v = slice((len(x) - 13) // 3 + 7, (len(x) - 13) // 3 + 10)
         y[v] = x[v] @ matrix
         return y
@@ -118,7 +126,8 @@ class Frame:
     def outside(self, y: np.ndarray) -> np.ndarray:
         """Return the state (nx,) in the world of one told from this frame: undoes `inside`."""
         x, matrix = y.copy(), self.matrix
-        x[:3], x[3:7] = self.position + matrix @ y[:3], rotations.product(self.quaternion, y[3:7])
+        x[:3], x[3:7] = self.position + matrix @ y[:3], self._turned @ y[3:7]
+        x[3:7] /= math.sqrt(x[3:7] @ x[3:7])
         v = slice((len(x) - 13) // 3 + 7, (len(x) - 13) // 3 + 10)
         x[v] = matrix @ y[v]
         return x

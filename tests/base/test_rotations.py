@@ -33,7 +33,7 @@ def test_a_product_is_mujocos_to_the_sign(p, q):
     truth = np.empty(4)
     mujoco.mju_mulQuat(truth, _unit(p), _unit(q))
     np.testing.assert_allclose(rotations.product(p, q), truth, atol=1e-15)
-    back = rotations.product(rotations.inverse(p), p)
+    back = rotations.product(p * [1.0, -1.0, -1.0, -1.0], p)
     np.testing.assert_allclose(back, [1, 0, 0, 0], atol=1e-15)
 
 
