@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from defplan_mj import registry
 from defplan_mj.pipeline import evaluation
 from defplan_mj.pipeline.plan import Plan, RunOptions
 from defplan_mj.task import Effort
-from tests.samples.tiny_run import SMALL
 
 
 @pytest.mark.parametrize(
@@ -19,10 +20,10 @@ from tests.samples.tiny_run import SMALL
 def test_a_share_of_the_unseen_scenes_is_gone_through_without_the_check(
     share, episodes, count, monkeypatch, tmp_path
 ):
-    spec = dataclasses.replace(SMALL, effort=Effort(unchecked=share))
+    spec = dataclasses.replace(registry.get_task("fish-swim"), effort=Effort(unchecked=share))
     plan = Plan(spec, RunOptions(episodes=episodes, logged=0))
     folder = SimpleNamespace(path=tmp_path)
-    run = SimpleNamespace(plan=plan, folder=folder, file=lambda name: tmp_path / name)
+    run: Any = SimpleNamespace(plan=plan, folder=folder, file=lambda name: tmp_path / name)
     asked = []
 
     def evaluate(_, scenes, shield, *, episodes=None, log=None):
