@@ -1,8 +1,9 @@
-"""Gaits that step: feet lifted in turn and swept back, by the modes that move them; starts for a walker.
+"""Gaits that step: feet lifted in turn and swept back, by the modes that move them; trials of a walker.
 
-A pattern gives each foot a phase. In its stance, the first half of its cycle, a foot is swept against the way that
-is wanted; in its swing it is lifted and brought forward. Which target shapes do that is a least-squares problem
-in the modes' linear motion of the feet, and which unknowns of the DMP make these shapes is another one.
+A pattern gives each foot a phase. In its stance, the first half of its cycle, a foot is swept against the way
+that the body is to go over it, to turn also; in its swing it is lifted and brought forward. Which target shapes
+do that is a least-squares problem in the modes' linear motion of the feet, and which unknowns of the DMP make
+these shapes is another one.
 """
 
 from __future__ import annotations
@@ -11,16 +12,79 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.dynamics.feet import Feet, lowest_feet
+from defplan_mj.gait.descent import THREADS, Descent
 from defplan_mj.gait.gait import dmp
-from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.gait.problem import GaitProblem, balanced_sequence
+from defplan_mj.gait.switching import measure_cycles
 
 SOLES = 0.06  # of the height: what is as low is feet
 MOST_FEET = 16
 SHARES = (0.45, 0.9)  # of the amplitude that the largest target shape takes
-LIFT = 0.5  # of a foot, in units of what it is swept
+LIFT = 0.5  # of a foot, in units of the longest sweep
 _RIDGE = 0.05  # of the largest singular value of the feet's motion: less is no way to move a foot
 _SHARPNESS = 1.0  # beta of each element
+_CHANCE = 4  # random gaits, for a body without feet
+_CYCLES = 24  # that patterns are compared in
+_TRIED, _ITERATIONS = (
+    2,
+    (6, 15),
+)  # patterns that are optimised; for how long each, and the best of them
+_SHARP = 0.15  # scale of beta
+
+
+def walking(problem: GaitProblem, seed: int, progress: Progress = no_progress) -> np.ndarray:
+    """Return w (n_w,) of gaits that are switched: of one pattern, so that each can follow each other.
+
+    Patterns are compared by how they get on while they are switched; the best are optimised for some iterations
+    over all pairs of tasks, one after the other.
+    """
+    rng, tasks = np.random.default_rng(seed), range(problem.n_tasks)
+    sequence = np.array(balanced_sequence(problem.n_tasks, _CYCLES, rng))
+    starts = patterns(problem) or [problem.random_gait(rng) for _ in range(_CHANCE)]
+    if seed:  # another seed is another start
+        starts = [w + 0.1 * _jitter(problem, rng) for w in starts]
+    worth = [-progress_of(problem, w, sequence) for w in starts]
+    best = [starts[i] for i in np.argsort(worth, kind="stable")[:_TRIED]]
+    pairs = [[i, j] for i in tasks for j in tasks]
+    descent = Descent(problem, pairs, settle=0, phases=False, sharp=_SHARP, threads=THREADS)
+    few, many = _ITERATIONS
+    tried = []
+    for done, w in enumerate(best, start=1):
+        tried.append(descent.improve(w, few))
+        progress("trying what the body can do", done / (len(best) + 2))
+    return descent.improve(min(tried, key=lambda pair: pair[0])[1], many)[1]
+
+
+def patterns(problem: GaitProblem) -> list[np.ndarray]:
+    """Return the gaits that step (`stepping_gaits`) of all tasks together, as w (n_w,); none if one has none."""
+    each = [list(stepping_gaits(problem.alone(j))) for j in range(problem.n_tasks)]
+    found = []
+    for same in zip(*each, strict=False):  # who has no feet has none at all
+        parts = [problem.alone(j).split(w) for j, w in enumerate(same)]
+        alphas, betas = (np.concatenate([part[i] for part in parts]) for i in (1, 2))
+        found.append(problem.join(parts[0][0], alphas, betas))
+    return found
+
+
+def progress_of(problem: GaitProblem, w: np.ndarray, sequence: np.ndarray) -> float:
+    """Return how much of what is wanted cycles (n,) of tasks do, in the mean: at most 1, and -1 if they fall."""
+    measured = measure_cycles(problem, problem.gait(w, {}), sequence)
+    turns = np.array([task.turn[2] for task in problem.tasks])[sequence]
+    advances = np.array([task.advance for task in problem.tasks])[sequence]
+    share = np.where(
+        turns != 0,
+        measured.angle / np.where(turns, turns, 1.0),
+        measured.advance / np.where(advances, advances, 1.0),
+    )
+    return float(np.where(measured.fell, -1.0, np.clip(share, -1.0, 1.0)).mean())
+
+
+def _jitter(problem: GaitProblem, rng: np.random.Generator) -> np.ndarray:
+    shape = (problem.n_tasks, problem.elements, problem.dynamics.nu)
+    still = np.zeros((problem.elements, problem.dynamics.nu))
+    return problem.join(still, rng.normal(0, 0.1, shape), np.zeros(shape))
 
 
 def foot_phases(feet: np.ndarray) -> dict[str, np.ndarray]:
@@ -41,32 +105,37 @@ def foot_phases(feet: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def swept(phase: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    """Return where feet are (..., 3) at phases (...) of their own cycles, in units of what they are swept.
+def swept(phase: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    """Return where feet are (..., 3), m, at phases (...) of their own cycles.
 
     Args:
-        heading: (2,) where the body is to go, a unit vector.
+        ways: (..., 2) how far, and where to, the body goes over each foot in its stance, m.
     """
     phase = phase % 1.0
     along = np.where(phase < 0.5, 0.5 - 2 * phase, 2 * phase - 1.5)
     lifted = np.where(phase < 0.5, 0.0, LIFT * np.sin(2 * np.pi * (phase - 0.5)))
-    return np.concatenate([along[..., None] * heading, lifted[..., None]], axis=-1)
+    most = np.linalg.norm(ways, axis=-1).max()
+    return np.concatenate([along[..., None] * ways, most * lifted[..., None]], axis=-1)
 
 
 def stepping_gaits(alone: GaitProblem) -> Iterator[np.ndarray]:
-    """Yield gaits of one task that step towards where it wants to go, as unknowns w (n_w,).
+    """Yield gaits of one task that step where it wants to go and turn, as unknowns w (n_w,).
 
-    None if the body does not stand on two feet or more, or the task wants to go nowhere.
+    Those of every task of a body come in the same order: pattern after pattern, each at `SHARES`. None if the
+    body does not stand on two feet or more, or the task wants neither to go nor to turn.
     """
-    body, heading = alone.dynamics.body, np.array(alone.tasks[0].direction[:2], float)
+    body, task = alone.dynamics.body, alone.tasks[0]
     feet = lowest_feet(body, SOLES)
-    if not 1 < len(feet) <= MOST_FEET or not heading.any():
+    if not 1 < len(feet) <= MOST_FEET:
         return
     where = np.array([body.vertices[foot].mean(0)[:2] for foot in feet.vertices])
+    ways = np.array(task.move[:2]) + task.turn[2] * np.stack([-where[:, 1], where[:, 0]], axis=1)
+    if not ways.any():
+        return
     reach = foot_motion(alone, feet)
     steps = np.arange(1, alone.steps_per_cycle + 1) / alone.steps_per_cycle
     for phases in foot_phases(where).values():
-        wanted = swept(steps[:, None] - phases, heading).reshape(len(steps), -1)  # (n, 3 feet)
+        wanted = swept(steps[:, None] - phases, ways).reshape(len(steps), -1)  # (n, 3 feet)
         shapes = wanted @ reach.T
         for share in SHARES:
             yield as_gait(alone, shapes * (share / np.abs(shapes / body.amplitude).max()))

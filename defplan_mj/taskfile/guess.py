@@ -29,7 +29,16 @@ from defplan_mj.dynamics.terrain import STANDARD_GRAVITY
 from defplan_mj.dynamics.world import GROUND
 from defplan_mj.gait.problem import GaitProblem
 from defplan_mj.gait.style import lateral_share
-from defplan_mj.gait.trials import ADVANCE, BENT_ADVANCE, STEP, TILT, TURN, try_tasks
+from defplan_mj.gait.trials import (
+    ADVANCE,
+    BENT_ADVANCE,
+    BENT_STEP,
+    STEP,
+    STEP_TURN,
+    TILT,
+    TURN,
+    try_tasks,
+)
 from defplan_mj.task import GaitTask, Navigation, TaskSpec, Weights
 from defplan_mj.taskfile.find import EFFORT, MEDIA, mesh_task_name
 
@@ -66,7 +75,7 @@ _MOST_MODES = 12
 _BENDING = 1.2  # summed share of the modes that is sideways bending: the fish's first four have 1.9
 _LEAST_ADVANCE, _LEAST_TURN = 0.05, 0.05  # of the length; rad: less is not worth a gait
 _MORE = {"planar": 2.0, "spatial": 2.0, "ground": 1.0}
-"""Times what a short trial reached is wanted; of a walker no more, or it falls while gaits are switched."""
+"""Times what a short trial reached is wanted; of a walker no more, or it falls."""
 _WAYS = 6  # a time-out allows so many times the way
 
 
@@ -283,22 +292,13 @@ def gait_tasks(
 ) -> tuple[GaitTask, ...]:
     """Return what the gaits should do, in body lengths.
 
-    In water in the plane: forward, left, right; in space: tilts of the own axis to four sides, and forward
-    along it; on the ground forward, back, left and right without turning.
+    In water in the plane, and on the ground: forward, left, right; in space: tilts of the own axis to four
+    sides, and forward along it.
     """
     if kind == "ground":
-        sides = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
-        return tuple(
-            GaitTask(name, move=(STEP * length * x, STEP * length * y, 0.0))
-            for name, (x, y) in sides.items()
-        )
+        return _straight_and_bent(STEP * length, STEP_TURN, BENT_STEP * length)
     if kind == "planar":
-        bent = (BENT_ADVANCE * length, 0.0, 0.0)
-        return (
-            GaitTask("forward", move=(ADVANCE * length, 0.0, 0.0)),
-            GaitTask("left", turn=(0.0, 0.0, TURN), move=bent),
-            GaitTask("right", turn=(0.0, 0.0, -TURN), move=bent),
-        )
+        return _straight_and_bent(ADVANCE * length, TURN, BENT_ADVANCE * length)
     own = np.array((0.0, 0.0, 1.0) if axis is None else axis)
     first = np.array([1.0, 0.0, 0.0]) if abs(own[0]) < 0.5 else np.array([0.0, 0.0, -1.0])
     names = {
@@ -310,6 +310,13 @@ def gait_tasks(
     still = (0.0, 0.0, 0.0)
     tilts = [GaitTask(n, _triple(TILT * np.cross(own, to)), still) for n, to in names.items()]
     return (*tilts, GaitTask("forward", move=_triple(ADVANCE * length * own)))
+
+
+def _straight_and_bent(ahead: float, turn: float, bent: float) -> tuple[GaitTask, ...]:
+    """Return forward, and left and right with a turn (rad), by how far (m)."""
+    sides = {"left": turn, "right": -turn}
+    turns = (GaitTask(n, turn=(0.0, 0.0, t), move=(bent, 0.0, 0.0)) for n, t in sides.items())
+    return (GaitTask("forward", move=(ahead, 0.0, 0.0)), *turns)
 
 
 def _triple(vector: np.ndarray) -> tuple[float, float, float]:

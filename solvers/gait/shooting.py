@@ -266,8 +266,7 @@ QUICK = Shooting(
     tried=True,
     rounds=((50, 1),),
     walking=Walking(
-        starts=4,
-        alone=((2, 10, 2), (3, 20, 1)),
-        rounds=((2, 8, 25), (4, 8, 25), (6, 8, 25)),
+        rounds=((4, 8, 15), (6, 8, 15)),
+        repair=(8, 6, 15),
     ),
 )

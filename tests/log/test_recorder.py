@@ -14,6 +14,7 @@ from defplan_mj.base import rotations
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.log import channels, schemas
+from defplan_mj.log.messages import _towards
 from defplan_mj.log.reader import read_log
 from defplan_mj.log.recorder import Recorder
 from defplan_mj.log.run_files import RunFiles
@@ -232,6 +233,15 @@ def test_force_arrows_point_along_the_forces(spatial):
         along = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).apply([1.0, 0, 0])
         length = arrow.shaft_length + arrow.head_length
         np.testing.assert_allclose(along * length, force / weight, atol=1e-12)
+
+
+def test_an_arrow_is_turned_to_any_direction_even_back():
+    ways = [*np.random.default_rng(0).normal(size=(20, 3)), *np.eye(3), *-np.eye(3), [-1, 1e-7, 0]]
+    for way in ways:
+        unit = np.array(way) / np.linalg.norm(way)
+        w, x, y, z = _towards(unit)
+        turned = Rotation.from_quat([x, y, z, w]).apply([1.0, 0, 0])
+        np.testing.assert_allclose(turned, unit, atol=1e-6)
 
 
 def test_time_never_runs_backwards_on_a_channel(logged):

@@ -297,11 +297,12 @@ def test_new_writes_what_run_takes(mesh, plugins, tmp_path, monkeypatch, capfd):
     assert "# of a control step, s" in (tmp_path / "my.toml").read_text()
     again = run("new", mesh, "--medium", "water", "-o", "my.toml", capfd=capfd)
     assert again[0] == 1 and "--overwrite" in again[2]
+    monkeypatch.setattr("defplan_mj.taskfile.guess._as_tried", lambda spec, *_: spec)
     turned = ("--up", "y", "--forward", "-x", "--length", "0.5", "--overwrite", "--quiet")
     assert run("new", mesh, "--medium", "ground", "-o", "my.toml", *turned, capfd=capfd)[0] == 0
     spec = read_task("my.toml")
     assert (spec.body.up, spec.body.forward, spec.body.length) == ("y", "-x", 0.5)
-    assert spec.world.walks and spec.gait_tasks[0].advance == pytest.approx(0.2)
+    assert spec.world.walks and spec.gait_tasks[0].advance == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(
