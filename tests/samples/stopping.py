@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from defplan_mj.pipeline.store import stage_seconds
 from tests.samples.leftovers import left_in
 from tests.samples.paths import ROOT
 from tests.samples.processes import heed_ctrl_c
@@ -33,7 +34,7 @@ class Stopped:
     Attributes:
         stops: how many were sent while the run was at work.
         faults: sentences on what was wrong.
-        slowest: seconds that the slowest stop took.
+        slowest: seconds that the slowest stop took, and `during` which stage that was.
         compared: resumed runs that came to their end and were compared.
     """
 
@@ -41,6 +42,7 @@ class Stopped:
     stops: int = 0
     faults: list[str] = field(default_factory=list)
     slowest: float = 0.0
+    during: str = "none"
 
 
 def start(logs: Path, temporary: Path) -> subprocess.Popen[str]:
@@ -114,7 +116,8 @@ def _once(logs: Path, temporary: Path, wait: float | None, number: int, found: S
             process.communicate()
             found.faults.append(f"signal {number} after {wait:.1f} s was lost")
             return False
-        found.slowest = max(found.slowest, time.monotonic() - began)
+        if (took := time.monotonic() - began) > found.slowest:
+            found.slowest, found.during = took, f"after {_last_stage(logs)}"
         if process.returncode == 0:
             return True  # it had just finished
         early = wait is not None and wait < IMPORTS
@@ -131,6 +134,11 @@ def _once(logs: Path, temporary: Path, wait: float | None, number: int, found: S
     if process.returncode != 0:
         found.faults.append(f"exit code {process.returncode}: {told}")
     return process.returncode == 0
+
+
+def _last_stage(logs: Path) -> str:
+    """Return the stage that was finished last before a run was stopped."""
+    return list(stage_seconds(logs / "fish-swim-seed0") or {"the start": 0.0})[-1]
 
 
 def _left(logs: Path, temporary: Path) -> Iterator[str]:
