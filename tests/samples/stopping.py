@@ -18,13 +18,11 @@ from defplan_mj.pipeline.store import stage_seconds
 from tests.samples.leftovers import left_in
 from tests.samples.paths import ROOT
 from tests.samples.processes import heed_ctrl_c
-from tests.samples.tiny_run import said_by
+from tests.samples.tiny_run import listens, said_by
 
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
 PATIENCE = 60.0
 """Seconds after which a stop counts as lost."""
-IMPORTS = 1.0
-"""Seconds in which Python may be loading the command itself, which ends as any Python program does."""
 
 
 @dataclass
@@ -102,11 +100,12 @@ def stop_at_random(
 
 def _once(logs: Path, temporary: Path, wait: float | None, number: int, found: Stopped) -> bool:
     """Go on with a run, and stop it after `wait` seconds; return whether it came to its end."""
+    listens(logs).unlink(missing_ok=True)
     process = start(logs, temporary)
     try:
         _, told = process.communicate(timeout=wait)
     except subprocess.TimeoutExpired:
-        began = time.monotonic()
+        began, early = time.monotonic(), not listens(logs).exists()
         process.send_signal(number)
         found.stops += 1
         try:
@@ -120,7 +119,6 @@ def _once(logs: Path, temporary: Path, wait: float | None, number: int, found: S
             found.slowest, found.during = took, f"after {_last_stage(logs)}"
         if process.returncode == 0:
             return True  # it had just finished
-        early = wait is not None and wait < IMPORTS
         if process.returncode not in (
             CODES[signal.Signals(number)],
             *((-number,) if early else ()),

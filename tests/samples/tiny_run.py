@@ -22,6 +22,11 @@ TIMES = ("seconds", "wall", "decision", "decision_ms", "real_time_factor")
 """Of a run's JSON, what the clock says."""
 
 
+def listens(logs: Path) -> Path:
+    """Return the file that says that the run with these logs hears stops."""
+    return logs.parent / "listens"
+
+
 def stand_in() -> None:
     """Put the small task, the wave and a short training in the place of the installed ones."""
     from defplan_mj import registry
@@ -97,10 +102,25 @@ def _without_times(value: Any) -> Any:
     return [_without_times(one) for one in value] if isinstance(value, list) else value
 
 
+def tell_when_it_listens(path: Path) -> None:
+    """Make a file when the command hears stops: before that, it is loading, and ends as any program does."""
+    from defplan_mj.cli.stops import Stops
+
+    listen = Stops.listen
+
+    def listening(stops: Stops) -> None:
+        listen(stops)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+
+    Stops.listen = listening  # type: ignore[assignment, method-assign]
+
+
 if __name__ == "__main__":
     from defplan_mj import cli
 
     stand_in()
+    tell_when_it_listens(listens(Path(sys.argv[1])))
     sys.argv[1:] = [
         *("run", "fish-swim", "--logs", sys.argv[1], "--pairs", "12", "--episodes", "3"),
         *("--moving", "1", *sys.argv[2:]),
