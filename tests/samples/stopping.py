@@ -115,10 +115,10 @@ def _once(logs: Path, temporary: Path, wait: float | None, number: int, found: S
             process.communicate()
             found.faults.append(f"signal {number} after {wait:.1f} s was lost")
             return False
-        if (took := time.monotonic() - began) > found.slowest:
-            found.slowest, found.during = took, f"after {_last_stage(logs)}"
         if process.returncode == 0:
             return True  # it had just finished
+        if (took := time.monotonic() - began) > found.slowest:
+            found.slowest, found.during = took, f"after {_last_stage(logs)}"
         if process.returncode not in (
             CODES[signal.Signals(number)],
             *((-number,) if early else ()),

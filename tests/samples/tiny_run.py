@@ -47,10 +47,10 @@ def stand_in() -> None:
             import defplan_solvers.dql.training as training
 
             training.Recipe.__init__.__defaults__ = short(training.Recipe)
+            _draw_once()  # here, not before the command: it loads a lot
         return wave if name == "wave" else find_solver(name, kind)
 
     registry.get_task, registry.get_solver = task, solver
-    _draw_once()
 
 
 def _draw_once() -> None:
@@ -58,6 +58,8 @@ def _draw_once() -> None:
     from defplan_mj.report import content
 
     draw: Any = content.render_figure
+    if draw.__module__ == __name__:
+        return
     drawn: list[bytes] = []
 
     def render(*args: Any, **kwargs: Any) -> bytes:
