@@ -171,9 +171,10 @@ def test_a_source_archive_holds_all_that_the_repository_does_and_its_tests_run(a
     (tree,) = tmp_path.iterdir()
     there = {path.relative_to(tree).as_posix() for path in tree.rglob("*") if path.is_file()}
     assert names <= there
+    tests = ("tests/kernel/test_step.py", "tests/base/test_files.py")
     build(tree, DEFPLAN_MARCH="x86-64-v3" if "x86" in platform.machine() else "")
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "tests/kernel/test_step.py", "tests/base"],
+        [sys.executable, "-m", "pytest", "-q", f"--basetemp={tmp_path / 'inner'}", *tests],
         cwd=tree,
         env={**os.environ, "PYTHONPATH": str(tree)},
         capture_output=True,
