@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import errno
+import logging
 import os
 import sys
 import traceback
@@ -59,6 +60,8 @@ def _run(arguments: argparse.Namespace) -> int:
     from defplan_mj.cli.screen import choose_renderer
 
     choose_renderer(arguments.draws)
+    # where HOME cannot be written it says so, twice; it does without
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     with Console(json=arguments.json, quiet=arguments.quiet) as console:
         return arguments.command(arguments, console)
 

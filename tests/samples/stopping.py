@@ -14,16 +14,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from defplan_mj.pipeline.store import stage_seconds
 from tests.samples.leftovers import left_in
 from tests.samples.paths import ROOT
 from tests.samples.processes import heed_ctrl_c
-from tests.samples.tiny_run import said_by
+from tests.samples.tiny_run import listens, said_by
 
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
 PATIENCE = 60.0
 """Seconds after which a stop counts as lost."""
-IMPORTS = 1.0
-"""Seconds in which Python may be loading the command itself, which ends as any Python program does."""
 
 
 @dataclass
@@ -33,7 +32,7 @@ class Stopped:
     Attributes:
         stops: how many were sent while the run was at work.
         faults: sentences on what was wrong.
-        slowest: seconds that the slowest stop took.
+        slowest: seconds that the slowest stop took, and `during` which stage that was.
         compared: resumed runs that came to their end and were compared.
     """
 
@@ -41,6 +40,7 @@ class Stopped:
     stops: int = 0
     faults: list[str] = field(default_factory=list)
     slowest: float = 0.0
+    during: str = "none"
 
 
 def start(logs: Path, temporary: Path) -> subprocess.Popen[str]:
@@ -100,11 +100,12 @@ def stop_at_random(
 
 def _once(logs: Path, temporary: Path, wait: float | None, number: int, found: Stopped) -> bool:
     """Go on with a run, and stop it after `wait` seconds; return whether it came to its end."""
+    listens(logs).unlink(missing_ok=True)
     process = start(logs, temporary)
     try:
         _, told = process.communicate(timeout=wait)
     except subprocess.TimeoutExpired:
-        began = time.monotonic()
+        began, early = time.monotonic(), not listens(logs).exists()
         process.send_signal(number)
         found.stops += 1
         try:
@@ -114,10 +115,10 @@ def _once(logs: Path, temporary: Path, wait: float | None, number: int, found: S
             process.communicate()
             found.faults.append(f"signal {number} after {wait:.1f} s was lost")
             return False
-        found.slowest = max(found.slowest, time.monotonic() - began)
         if process.returncode == 0:
             return True  # it had just finished
-        early = wait is not None and wait < IMPORTS
+        if (took := time.monotonic() - began) > found.slowest:
+            found.slowest, found.during = took, f"after {_last_stage(logs)}"
         if process.returncode not in (
             CODES[signal.Signals(number)],
             *((-number,) if early else ()),
@@ -131,6 +132,11 @@ def _once(logs: Path, temporary: Path, wait: float | None, number: int, found: S
     if process.returncode != 0:
         found.faults.append(f"exit code {process.returncode}: {told}")
     return process.returncode == 0
+
+
+def _last_stage(logs: Path) -> str:
+    """Return the stage that was finished last before a run was stopped."""
+    return list(stage_seconds(logs / "fish-swim-seed0") or {"the start": 0.0})[-1]
 
 
 def _left(logs: Path, temporary: Path) -> Iterator[str]:

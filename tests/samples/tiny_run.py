@@ -22,6 +22,11 @@ TIMES = ("seconds", "wall", "decision", "decision_ms", "real_time_factor")
 """Of a run's JSON, what the clock says."""
 
 
+def listens(logs: Path) -> Path:
+    """Return the file that says that the run with these logs hears stops."""
+    return logs.parent / "listens"
+
+
 def stand_in() -> None:
     """Put the small task, the wave and a short training in the place of the installed ones."""
     from defplan_mj import registry
@@ -42,9 +47,27 @@ def stand_in() -> None:
             import defplan_solvers.dql.training as training
 
             training.Recipe.__init__.__defaults__ = short(training.Recipe)
+            _draw_once()  # here, not before the command: it loads a lot
         return wave if name == "wave" else find_solver(name, kind)
 
     registry.get_task, registry.get_solver = task, solver
+
+
+def _draw_once() -> None:
+    """Draw the page's first figure, and show it in the place of the others: they take a third of the run."""
+    from defplan_mj.report import content
+
+    draw: Any = content.render_figure
+    if draw.__module__ == __name__:
+        return
+    drawn: list[bytes] = []
+
+    def render(*args: Any, **kwargs: Any) -> bytes:
+        if not drawn:
+            drawn.append(draw(*args, **kwargs))
+        return drawn[0]
+
+    content.render_figure = render
 
 
 def short(recipe: Any) -> tuple:
@@ -81,10 +104,25 @@ def _without_times(value: Any) -> Any:
     return [_without_times(one) for one in value] if isinstance(value, list) else value
 
 
+def tell_when_it_listens(path: Path) -> None:
+    """Make a file when the command hears stops: before that, it is loading, and ends as any program does."""
+    from defplan_mj.cli.stops import Stops
+
+    listen = Stops.listen
+
+    def listening(stops: Stops) -> None:
+        listen(stops)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+
+    Stops.listen = listening  # type: ignore[assignment, method-assign]
+
+
 if __name__ == "__main__":
     from defplan_mj import cli
 
     stand_in()
+    tell_when_it_listens(listens(Path(sys.argv[1])))
     sys.argv[1:] = [
         *("run", "fish-swim", "--logs", sys.argv[1], "--pairs", "12", "--episodes", "3"),
         *("--moving", "1", *sys.argv[2:]),
