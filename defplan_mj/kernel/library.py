@@ -69,8 +69,9 @@ class SearchProblem(ctypes.Structure):
     """dp_search_problem."""
 
     _integers = ("d", "n_gaits", "before", "n_balls", "n_axes", "nodes", "cycles", "enough")
+    _integers += ("decisions", "single")
     _numbers = ("goal_radius", "margin", "weight", "cell", "heading", "advance", "per_radian")
-    _arrays = ("rotations", "translations", "target", "balls", "axes")
+    _arrays = ("rotations", "translations", "target", "balls", "axes", "then", "phase")
     _fields_ = [
         *((name, c_int) for name in _integers),
         *((name, c_double) for name in (*_numbers, "horizon")),

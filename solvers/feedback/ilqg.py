@@ -17,6 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.space import PLANE, SPACES
 from defplan_mj.dynamics import tangent
 from defplan_mj.dynamics.reduced import ReducedDynamics
@@ -186,8 +187,17 @@ class Ilqg:
         self._more = np.zeros((self.options.horizon, len(self.bound)))
         self._next = 0
 
-    def begin(self, task: int, x: np.ndarray) -> None:
-        """Begin a cycle: the frame to follow begins where the body is, on its old course if near."""
+    def begin(self, task: int, x: np.ndarray, first: int = 0) -> None:
+        """Begin a cycle: the frame to follow begins where the body is, on its old course if near.
+
+        Raises:
+            DefplanError: it is to be entered within.
+        """
+        if first:
+            raise DefplanError(
+                "the feedback ilqg follows whole gait cycles: take another one, or set"
+                " navigation.decisions_per_cycle to 1"
+            )
         here = Frame.of(x, self._level, self._depth)
         if self._frame is not None and self._track is not None:
             course = self._frame.then(self._track.motion).quaternion

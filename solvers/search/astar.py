@@ -33,9 +33,10 @@ class AstarPlanner:
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
         self.radius, self.dimension = surrogate.radius, navigation.dimension
-        self.outlook = Outlook(surrogate.motions(navigation.space), navigation.goal_radius)
+        self.outlook = Outlook(surrogate.cycle_motions(navigation.space), navigation.goal_radius)
         motions, heading = surrogate.switched_motions(navigation.space), self.outlook.axes[0]
-        self.steps = [Manoeuvres(motions, heading, i) for i in range(surrogate.rest + 1)]
+        past = surrogate.past
+        self.steps = [Manoeuvres(motions, heading, i, past) for i in range(past.rest + 1)]
         self.map = LaserMap(surrogate, navigation)
         self.shield = Shield(self, surrogate, navigation)  # its rule, for when there is no plan
 
@@ -47,10 +48,10 @@ class AstarPlanner:
         """Return (K,) minus the cycles that are left after each gait, the plan's gait first."""
         target = observation["target"][: self.dimension]
         points = self.map.update(observation["laser"], target)
-        values = -self.outlook.after_each(target)
+        values = -self.outlook.after_each(target, self.map.odometry.phase)
         gait = self._plan(points, target)
         if gait is None:
-            safe = self.shield.safe(points, before=self.map.odometry.gait)
+            safe = self.shield.safe(points, before=self.map.odometry.past)
             values = np.where(safe, values, values - np.ptp(values) - 1)
         else:
             values[gait] = values.max() + 1
@@ -60,7 +61,7 @@ class AstarPlanner:
     def _plan(self, points: np.ndarray, target: np.ndarray) -> int | None:
         for margin in MARGINS:
             clearance = self.radius + margin
-            before = self.map.odometry.gait
+            before = self.map.odometry.past
             gait = search(self.outlook, self.steps, points, clearance, self.radius, target, before)
             if gait is not None:
                 return gait
@@ -81,13 +82,13 @@ def search(
 
     Args:
         outlook: estimates what is left.
-        steps: of the search, after each gait, and last those from rest.
+        steps: of the search, after each past, and last those from rest.
         points: (p, d) what to keep away from, m, in the robot's frame.
         clearance: that cycles keep, m; where there is less already, cycles may gain some, or
             turn the robot in its place.
         least: clearance that cycles keep in any case, m.
         target: (d,) m, in the robot's frame.
-        before: the gait of the cycle before; -1: the robot is at rest.
+        before: the past (`planning.past`); -1: the robot is at rest.
         horizon: a way that gets this far is good enough, m.
     """
     d, room = len(target), NODES + AT_ONCE * max(len(after.first) for after in steps)
