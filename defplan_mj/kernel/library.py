@@ -68,8 +68,10 @@ class Geom(ctypes.Structure):
 class SearchProblem(ctypes.Structure):
     """dp_search_problem."""
 
-    _integers = ("d", "n_gaits", "before", "n_balls", "n_axes", "nodes", "cycles", "enough")
-    _integers += ("decisions", "single")
+    _integers = (
+        *("d", "n_gaits", "before", "n_balls", "n_axes"),
+        *("nodes", "cycles", "enough", "decisions", "single"),
+    )
     _numbers = ("goal_radius", "margin", "weight", "cell", "heading", "advance", "per_radian")
     _arrays = ("rotations", "translations", "target", "balls", "axes", "then", "phase")
     _fields_ = [

@@ -81,8 +81,8 @@ static unsigned long key_of(const dp_search_problem* p, const Node* node, int mo
   return key * 0x9E3779B97F4A7C15UL >> 8;
 }
 
-/* How many decisions the next choice of a way is kept for: the first ones are made one by one, others
- * until a cycle ends. */
+/* How many decisions the next choice of a way is kept for: the first ones are made one by one,
+ * others until a cycle ends. */
 static int hold_of(const dp_search_problem* p, const Node* node) {
   return node->depth < p->single ? 1 : p->decisions - p->phase[node->past];
 }

@@ -22,6 +22,7 @@ from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv
 from defplan_mj.planning.tracking import Tracker
 from defplan_mj.task import Navigation
+from defplan_solvers.search.greedy import GreedyPlanner
 from defplan_tasks.fish import SWIM
 from tests.samples import host
 from tests.samples import planning as samples
@@ -44,7 +45,8 @@ def test_a_past_is_the_phase_and_the_last_gaits(gaits, decisions):
     assert past.rest < MOST_PASTS and 1 <= past.memory <= decisions
     seen: dict[int, tuple] = {}
     for _ in range(30):
-        now, played = past.rest, []
+        now = past.rest
+        played: list[int] = []
         for i in range(6 * decisions):
             assert past.phase[now] == i % decisions
             last = played[-1] + gaits * ((i - 1) % decisions) if played else gaits * decisions
@@ -115,6 +117,7 @@ def test_a_surrogate_of_parts_survives_its_file_and_that_of_cycles_does_not_tell
 ):
     parts[2].save(tmp_path / "two.npz")
     again = Surrogate.load(tmp_path / "two.npz")
+    assert again.switching is not None and parts[2].switching is not None
     assert again.decisions_per_cycle == 2 and again.rest == parts[2].rest
     assert np.array_equal(again.switching.translations, parts[2].switching.translations)
     parts[1].save(tmp_path / "one.npz")
@@ -154,8 +157,8 @@ def test_cycles_kept_whole_move_the_robots_as_one_decision_a_cycle_does(decision
         swing = np.swapaxes(once.frames, 1, 2) @ often.frames  # the same at the end of every cycle
         heading = swing if heading is None else heading
         assert np.allclose(swing, heading, atol=1e-4)
-    away = [np.linalg.norm(env.position, axis=1) for env in (once, often)]
-    assert np.allclose(*away, atol=1e-3)
+    away, here = (np.linalg.norm(env.position, axis=1) for env in (once, often))
+    assert np.allclose(away, here, atol=1e-3)
 
 
 def test_time_outs_come_after_so_many_cycles():
@@ -191,7 +194,7 @@ def test_what_can_follow_a_choice_can_still_follow_it_a_decision_later():
 
 def test_the_shield_lets_no_part_of_a_cycle_into_a_wall():
     surrogate = samples.in_parts(samples.surrogate(), 2)
-    shield = Shield(None, surrogate, TWICE)
+    shield = Shield(GreedyPlanner(surrogate, TWICE), surrogate, TWICE)
     y = np.arange(-8, 8, 0.1)
     for before in (surrogate.rest, *surrogate.past.kept(1)):
         near = np.column_stack([np.full(len(y), 1.2), y])  # no room to go on straight for a cycle
