@@ -250,7 +250,9 @@ def _surrogate_figures(run: Run) -> dict[str, Any]:
     ]
     switching = surrogate.switching
     held_out = {} if switching is None else switching.held_out
-    return {"pairs": surrogate.pairs, "tasks": tasks, "held_out": held_out}
+    m = surrogate.decisions_per_cycle
+    parts = {"decisions_per_cycle": m} if m != 1 else {}
+    return {"pairs": surrogate.pairs, "tasks": tasks, "held_out": held_out, **parts}
 
 
 def _surrogate_inputs(run: Run) -> dict[str, Any]:
