@@ -80,17 +80,17 @@ def _by_pair(surrogate: Surrogate) -> list[Text | Table]:
     )
     if m > 1:
         text = (
-            f"The gait is chosen {m} times a cycle. What a {m}th of one does depends on the gaits of the cycle "
+            f"The gait is chosen {m} times a cycle. What 1 / {m} of one does depends on the gaits of the cycle "
             "before it. Planner, training and collision check use a motion for each gait after each of these."
         )
         rows[0][0], rows[1][0] = "one motion a gait and phase", "by the gaits before, too"
-    part = "a cycle" if m == 1 else f"a {m}th of a cycle"
+    part, many = ("a cycle", "cycles") if m == 1 else (f"1 / {m} of a cycle", "of them")
     return [
         Text(text),
         Table(
             ["surrogate", "place (m)", "rotation (rad)"],
             rows,
-            f"How far {part} is from its prediction, root mean square of {told['cycles']:.0f} cycles "
+            f"How far {part} is from its prediction, root mean square of {told['cycles']:.0f} {many} "
             "that were not fitted.",
         ),
     ]
