@@ -82,8 +82,9 @@ def test_a_decision_plays_the_part_of_the_gait_that_comes_next(robot):
 
 
 def test_a_cycle_that_has_no_such_parts_is_refused():
+    body = samples.fish()
     with pytest.raises(DefplanError, match="11 steps has no 2 equal parts"):
-        navigation_environment(samples.fish(), samples.gait(), TWICE, lambda random: None)
+        environment(Robot(body, samples.gait(), World(body.medium)), TWICE, planning.scene())
 
 
 def test_ilqg_does_not_begin_within_a_cycle():
