@@ -18,8 +18,13 @@ class Feedback(Protocol):
     def reset(self) -> None:
         """Forget what was before: the body is put somewhere else."""
 
-    def begin(self, task: int, x: np.ndarray) -> None:
-        """Begin a cycle of gait `task` at the state `x` (nx,)."""
+    def begin(self, task: int, x: np.ndarray, first: int = 0) -> None:
+        """Begin a cycle of gait `task` at the state `x` (nx,).
+
+        Args:
+            first: the step of the cycle that comes next, if it is to be entered within: the gaits share their
+                phases. With one decision a cycle it is never given.
+        """
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """Return the target shape (r,) of the cycle's next step, from the state `x` (nx,)."""
@@ -63,9 +68,9 @@ class OpenLoop:
         """Begin with the first gait."""
         self._task = self._next = 0
 
-    def begin(self, task: int, x: np.ndarray) -> None:
-        """Begin a cycle of gait `task` in the state x (nx,)."""
-        self._task, self._next = task, 0
+    def begin(self, task: int, x: np.ndarray, first: int = 0) -> None:
+        """Begin a cycle of gait `task` in the state x (nx,), at its step `first`."""
+        self._task, self._next = task, first
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """Return the next entry of the gait's table (r,)."""
@@ -83,8 +88,8 @@ class Recorded:
         """Begin again."""
         self._next = 0
 
-    def begin(self, task: int, x: np.ndarray) -> None:
-        """Go on with the shapes that follow, whatever the gait and the state (nx,)."""
+    def begin(self, task: int, x: np.ndarray, first: int = 0) -> None:
+        """Go on with the shapes that follow, whatever the gait, the state (nx,) and the step."""
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """Return the next target shape (r,)."""

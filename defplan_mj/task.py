@@ -103,6 +103,8 @@ class Navigation:
         distance: of the targets, m.
         goal_radius: m.
         max_cycles: gait cycles before an episode times out.
+        decisions_per_cycle: how often in a gait cycle the robot senses and chooses its gait; the cycle has to have
+            so many equal parts (the paper: 1).
         k2: number of training targets (the paper's K2), evenly spread.
         k2_obstacles, novel_obstacles: obstacles on the way, to a training target and in an unseen scene.
         beams: laser beams.
@@ -128,6 +130,7 @@ class Navigation:
     sensor: str = ""
     scenes: str = ""
     room: float = 0.75
+    decisions_per_cycle: int = 1
 
     def __post_init__(self) -> None:
         if self.space not in SPACES:
@@ -146,6 +149,20 @@ class Navigation:
     def place(self) -> Space:
         """The space itself."""
         return SPACES[self.space]
+
+
+def steps_of_decision(steps_per_cycle: int, decisions: int) -> int:
+    """Return the control steps that a decision lasts, with so many decisions in a cycle.
+
+    Raises:
+        DefplanError: the cycle does not have so many equal parts.
+    """
+    if decisions < 1 or steps_per_cycle % decisions:
+        raise DefplanError(
+            f"a gait cycle of {steps_per_cycle} steps has no {decisions} equal parts: set"
+            " navigation.decisions_per_cycle to a divisor of steps_per_cycle"
+        )
+    return steps_per_cycle // decisions
 
 
 @dataclass(frozen=True)
@@ -220,6 +237,7 @@ class TaskSpec:
 
     def __post_init__(self) -> None:
         _ = self.world  # medium and terrain have to agree
+        steps_of_decision(self.steps_per_cycle, self.navigation.decisions_per_cycle)
 
     @property
     def world(self) -> World:

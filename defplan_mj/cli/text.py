@@ -107,7 +107,12 @@ def surrogate_text(data: dict[str, Any]) -> str:
     errors = [
         f"{told[f'{key}place_m']:.3f} m, {told[f'{key}turn_rad']:.3f} rad" for key in ("plain_", "")
     ]
-    return f"{text}\na cycle that was not fitted is off by {errors[0]}; by the gait before, too, {errors[1]}"
+    m = data.get("decisions_per_cycle", 1)
+    part, gaits = ("a cycle", "gait") if m == 1 else (f"1 / {m} of a cycle", "gaits")
+    return (
+        f"{text}\n{part} that was not fitted is off by {errors[0]}; by the {gaits} before, too,"
+        f" {errors[1]}"
+    )
 
 
 _EVALUATION_COLUMNS = ["episodes", "success", "95%", "collision", "fall", "timeout", "x real time"]

@@ -1,4 +1,4 @@
-"""f_fit as dynamics: one step is one gait cycle, the control is the gait, the body is rigid."""
+"""f_fit as dynamics: one step is one decision, the control is the gait, the body is rigid."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class RigidDynamics:
-    """f_fit: (c, R) becomes (c + R t_ij, R R_ij) under gait j after gait i (paper, section IV-B).
+    """f_fit: (c, R) becomes (c + R t_ij, R R_ij) under gait j after past i (paper, section IV-B).
 
     A state is (7,): position (3, m) and unit quaternion w x y z, as in the reduced state's first
     seven entries.
@@ -28,18 +28,19 @@ class RigidDynamics:
 
     @property
     def timestep(self) -> float:
-        """Duration of a cycle, s."""
-        return self.surrogate.cycle_seconds
+        """Duration of a cycle, or of the part of it that a decision plays, s."""
+        return self.surrogate.decision_seconds
 
     def rest_state(self) -> np.ndarray:
         """Return the state at the origin, (7,)."""
         return np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
     def step(self, x: np.ndarray, gait: int, before: int | None = None) -> np.ndarray:
-        """Return the state (7,) one cycle of `gait` after `x` (7 or more; the rest is not used).
+        """Return the state (7,) one decision for `gait` after `x` (7 or more; the rest is not used).
 
         Args:
-            before: the gait of the cycle before; None: the body was at rest.
+            before: the past (`planning.past`), the gait of the cycle before if there is one decision in a
+                cycle; None: the body was at rest.
 
         Raises:
             DefplanError: there is no such gait.
@@ -55,8 +56,8 @@ class RigidDynamics:
 
     def rollout(self, x0: np.ndarray, gaits: np.ndarray) -> np.ndarray:
         """Return the states (N + 1, 7) from `x0`, at rest, under the gaits (N,)."""
-        states, before = [np.asarray(x0, float)[:7]], None
+        states, before = [np.asarray(x0, float)[:7]], self.surrogate.rest
         for gait in map(int, gaits):
             states.append(self.step(states[-1], gait, before))
-            before = gait
+            before = int(self.surrogate.past.then[before, gait])
         return np.array(states)

@@ -19,6 +19,7 @@ from defplan_mj.planning.outcome import ENDINGS, Outcome
 from defplan_mj.planning.planner import Planner, needs_obstacles
 from defplan_mj.planning.scene import Scene
 from defplan_mj.planning.shield import Shield
+from defplan_mj.planning.surrogate import check_decisions
 from defplan_mj.task import Navigation
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class EpisodeRecorder(Protocol):
         reward: float,
         laser: np.ndarray,
     ) -> None:
-        """Take one gait cycle, after its last step: the planner's values (K,) and what it sensed, (beams,)."""
+        """Take one decision, after its last step: the planner's values (K,) and what it sensed, (beams,)."""
 
     def end(self, outcome: str, reason: str = "") -> None:
         """Take how the episode ended."""
@@ -72,8 +73,8 @@ class Episode:
         distance: from the target at the end, m.
         closest: smallest clearance to an obstacle, m, at most 1.
         reward: Eq. 2, summed.
-        path: length of the way of the centre of mass, from cycle to cycle, m.
-        tilt: largest tilt at the end of a cycle, rad.
+        path: length of the way of the centre of mass, from decision to decision, m.
+        tilt: largest tilt at the end of what a decision played, rad.
         wall: time of decisions and physics, s; the only entry that differs between reruns.
         decision: time of a decision, mean, s; likewise.
     """
@@ -175,7 +176,7 @@ def run_episode(
             path += float(np.linalg.norm(physics.com() - x[:3]))
             tilt = max(tilt, float(np.arccos(np.clip(physics.upright(), -1, 1))))
             if recorder is not None:
-                recorder.cycle(task.cycles - 1, at, x, gait, values, step.reward, laser)
+                recorder.cycle(task.decisions - 1, at, x, gait, values, step.reward, laser)
     finally:
         task.step_hook = None
     distance = task.distance(physics)
@@ -192,7 +193,7 @@ def run_episode(
         path=path,
         tilt=tilt,
         wall=thinking + moving,
-        decision=thinking / max(task.cycles, 1),
+        decision=thinking / max(task.decisions, 1),
     )
 
 
@@ -217,7 +218,11 @@ def evaluate(
         recorder: gives the recorders of those episodes that are to be logged.
         context: of the logs.
         workers: processes (default: `parallel.places()`, and 1 for a few episodes).
+
+    Raises:
+        DefplanError: the surrogate is of another number of decisions a cycle.
     """
+    check_decisions(surrogate, navigation)
     pilot: Planner = Shield(planner, surrogate, navigation) if shield else planner
     if workers is None:
         workers = parallel.places() if len(scenes) >= PARALLEL_FROM else 1

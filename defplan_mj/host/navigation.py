@@ -1,4 +1,4 @@
-"""The navigation task (paper, section IV-B): one action is one gait, one step is one gait cycle."""
+"""The navigation task (paper, section IV-B): an action is a gait, a step one gait cycle, or a part of it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from defplan_mj.host.scene import build_spec, compile_model
 from defplan_mj.planning.outcome import Outcome
 from defplan_mj.planning.robot import Robot
 from defplan_mj.planning.scene import Scene
-from defplan_mj.task import Navigation
+from defplan_mj.task import Navigation, steps_of_decision
 
 COLLISION_PENALTY = 1000.0  # Eq. 2
 USUAL, IN_PLACES = 32, 160  # obstacles of a drawn scene, at most: beside the way, of a place
@@ -45,13 +45,16 @@ class Navigate(base.Task):
     is the horizontal one, so that drifting up or down is neither a way out nor held against the
     robot. In space obstacles are spheres and the distance is that in space.
 
+    With more than one decision a cycle a step plays that part of the chosen gait's cycle that comes next:
+    all gaits share their phases.
+
     On a terrain the episode also ends at the physics step where the robot falls: where its up axis
     leans by more than 60 degrees, or its centre of mass is below half of its standing height.
 
     Attributes:
         scene: of this episode; setting it takes effect at the next reset.
         outcome: of the episode, RUNNING until it is over.
-        cycles: gait cycles begun in this episode.
+        decisions: steps begun in this episode.
         closest: smallest clearance of this episode, m, at most 1.
         step_hook: called with the physics and the target shape (r,) after every physics step.
         tells_obstacles: observations have 'obstacles', for planners that need them
@@ -68,6 +71,7 @@ class Navigate(base.Task):
         feedback: Feedback | None = None,
         time_limit: float = float("inf"),
         random: np.random.RandomState | int | None = None,
+        decisions_per_cycle: int = 1,
     ):
         """Take what drives the robot and where scenes come from.
 
@@ -79,11 +83,14 @@ class Navigate(base.Task):
             feedback: plays the gaits; None: as they are, in open loop.
             time_limit: s, ends the episode as a timeout.
             random: generator or seed of the sampler.
+            decisions_per_cycle: how often in a cycle the gait is chosen.
         """
         super().__init__(random=random)
         self.gait = gait
         self.outcome = Outcome.RUNNING
-        self.cycles = 0
+        self.decisions_per_cycle = decisions_per_cycle
+        self._steps = steps_of_decision(gait.steps_per_cycle, decisions_per_cycle)
+        self.decisions = 0
         self.closest = 1.0
         self.step_hook: StepHook | None = None
         self.tells_obstacles = False
@@ -95,6 +102,11 @@ class Navigate(base.Task):
         self._before = np.zeros(3)
         self._rest = rest
         self._standing = 0.0
+
+    @property
+    def cycles(self) -> int:
+        """Gait cycles begun in this episode."""
+        return -(-self.decisions // self.decisions_per_cycle)
 
     @property
     def scene(self) -> Scene | None:
@@ -120,7 +132,7 @@ class Navigate(base.Task):
         physics.set_reduced_state(state)
         self._feedback.reset()
         self.outcome = Outcome.RUNNING
-        self.cycles = 0
+        self.decisions = 0
         self.closest = 1.0
         self._before = physics.com()
 
@@ -129,7 +141,7 @@ class Navigate(base.Task):
         return specs.DiscreteArray(len(self.gait.task_names), name="gait")
 
     def before_step(self, action: int, physics: Physics) -> None:
-        """Make the coming physics steps one cycle of gait `action`.
+        """Make the coming physics steps one cycle of gait `action`, or the part of it that comes next.
 
         Raises:
             DefplanError: there is no such gait.
@@ -140,11 +152,15 @@ class Navigate(base.Task):
                 f"there is no gait {index}: the actions are 0 to {len(self.gait.task_names) - 1}"
                 f" ({', '.join(self.gait.task_names)})"
             )
-        if self.cycles == 0:
+        if self.decisions == 0:
             self._standing = physics.height()
-        self.cycles += 1
+        first = self.decisions % self.decisions_per_cycle * self._steps
+        self.decisions += 1
         self._before = physics.com()
-        self._feedback.begin(index, physics.reduced_state())
+        if first:
+            self._feedback.begin(index, physics.reduced_state(), first)
+        else:  # a feedback that knows whole cycles only has no third argument
+            self._feedback.begin(index, physics.reduced_state())
         physics.follow(self._feedback.shape, self._after_physics_step)
 
     def _after_physics_step(self, physics: Physics, target_shape: np.ndarray) -> bool:
@@ -166,7 +182,8 @@ class Navigate(base.Task):
 
     def after_step(self, physics: Physics) -> None:
         """Time out after the scene's number of cycles."""
-        late = self.cycles >= self._here().max_cycles or physics.time() >= self._time_limit
+        most = self._here().max_cycles * self.decisions_per_cycle
+        late = self.decisions >= most or physics.time() >= self._time_limit
         if self.outcome == Outcome.RUNNING and late:
             self.outcome = Outcome.TIMEOUT
 
@@ -182,7 +199,7 @@ class Navigate(base.Task):
         return offset
 
     def get_reward(self, physics: Physics) -> float:
-        """Return Eq. 2: |c_i - T|^2 - |c_{i+1} - T|^2 - 1000 coll, of the cycle just done."""
+        """Return Eq. 2: |c_i - T|^2 - |c_{i+1} - T|^2 - 1000 coll, of the step just done."""
         before, after = self._offset(self._before), self._offset(physics.com())
         collision = COLLISION_PENALTY if self.outcome == Outcome.COLLISION else 0.0
         return float(before @ before - after @ after - collision)
@@ -197,9 +214,8 @@ class Navigate(base.Task):
         """Return 'state', 'target' and 'laser', see `reduced_observation`; 'obstacles' if it tells them."""
         observation = reduced_observation(physics, physics.target())
         if self.tells_obstacles:
-            observation["obstacles"] = true_obstacles(
-                physics, self._here(), self.gait.cycle_seconds
-            )
+            seconds = self.gait.cycle_seconds / self.decisions_per_cycle
+            observation["obstacles"] = true_obstacles(physics, self._here(), seconds)
         return observation
 
     def _here(self) -> Scene:
@@ -244,7 +260,7 @@ def reduced_observation(
 def true_obstacles(physics: Physics, scene: Scene, seconds: float) -> np.ndarray:
     """Return the obstacles (n, 2 d + 1) of a scene now, in the robot's frame.
 
-    Each row is a centre (d), m, a radius, m, and how far it moves in a cycle of `seconds` (d), m.
+    Each row is a centre (d), m, a radius, m, and how far it moves in a decision of `seconds` (d), m.
     """
     d, frame = scene.place.dimension, physics.planning_frame()
     centres = scene.centres + physics.time() * scene.velocities - physics.com()
@@ -291,7 +307,8 @@ def navigation_environment(
     """Return the navigation task of `body` with `gait` as a dm_control environment.
 
     Args:
-        navigation: the space, beams and range of the laser, goal and limits of sampled scenes.
+        navigation: the space, beams and range of the laser, decisions a cycle, goal and limits of sampled
+            scenes.
         sampler: draws scenes with the task's generator.
         terrain: what the robot walks on; without it it swims.
         scene: keep to this one; later ones are set as `env.task.scene`.
@@ -301,7 +318,8 @@ def navigation_environment(
         texture: of the skin, see `skin.add_skin`.
 
     Raises:
-        DefplanError: the gait is of another body, or asks for larger shapes than the body has.
+        DefplanError: the gait is of another body, asks for larger shapes than the body has, or its cycle
+            has not as many equal parts as there are decisions in it.
     """
     if gait.body_hash != body.hash:
         raise DefplanError(
@@ -337,11 +355,12 @@ def navigation_environment(
         feedback=feedback,
         time_limit=time_limit,
         random=random,
+        decisions_per_cycle=navigation.decisions_per_cycle,
     )
     return control.Environment(
         Physics.from_mjmodel(compile_model(spec)),
         task,
-        n_sub_steps=gait.steps_per_cycle,
+        n_sub_steps=steps_of_decision(gait.steps_per_cycle, navigation.decisions_per_cycle),
         time_limit=time_limit,
         **(environment_kwargs or {}),
     )

@@ -155,14 +155,18 @@ DP_API double dp_geom_distance(const dp_geom* g, const double p[3], double norma
 DP_API void dp_ways(int d, int n, const int* offsets, const float* points, const float* drift,
                     const int* tree, int n_ways, const float* start, const float* end,
                     const float* begun, float* out);
-/* A search for a way to a target, in the robot's frame. */
+/* A search for a way to a target, in the robot's frame. A decision plays a gait for 1 / `decisions`
+ * of a cycle; its motion depends on the past: defplan_mj/planning/past.py has the tables. */
 typedef struct {
-  int d, n_gaits, before, n_balls, n_axes; /* before: the gait before the first */
-  int nodes, cycles, enough; /* made at most; of a way at most; ahead that no way may be safe */
+  int d, n_gaits, before, n_balls, n_axes; /* before: the past at the start */
+  int nodes;                /* that are made at most */
+  int cycles, enough;       /* decisions: of a way at most; ahead, if there is none */
+  int decisions, single;    /* of a cycle; how many of the first ones are made one by one */
   double goal_radius, margin, weight, cell, heading, advance, per_radian, horizon;
-  const double *rotations, *translations; /* (before x gait x d x d), (before x gait x d) */
-  const double *target, *balls; /* (d); (n_balls x (2d + 1)): centre, radius, drift in a cycle */
-  const double* axes;           /* (n_axes x d) along which gaits advance */
+  const double *rotations, *translations; /* (past x gait x d x d), (past x gait x d) */
+  const double *target, *balls; /* (d); (n_balls x (2d + 1)): centre, radius, drift in a decision */
+  const double* axes;      /* (decisions x n_axes x d) along which gaits advance, at each phase */
+  const int *then, *phase; /* (past x gait) the past after it; (past) the phase that comes next */
 } dp_search_problem;
 /* Bytes of memory that a search among so many nodes needs. */
 DP_API size_t dp_search_size(int nodes);

@@ -68,9 +68,12 @@ class Geom(ctypes.Structure):
 class SearchProblem(ctypes.Structure):
     """dp_search_problem."""
 
-    _integers = ("d", "n_gaits", "before", "n_balls", "n_axes", "nodes", "cycles", "enough")
+    _integers = (
+        *("d", "n_gaits", "before", "n_balls", "n_axes"),
+        *("nodes", "cycles", "enough", "decisions", "single"),
+    )
     _numbers = ("goal_radius", "margin", "weight", "cell", "heading", "advance", "per_radian")
-    _arrays = ("rotations", "translations", "target", "balls", "axes")
+    _arrays = ("rotations", "translations", "target", "balls", "axes", "then", "phase")
     _fields_ = [
         *((name, c_int) for name in _integers),
         *((name, c_double) for name in (*_numbers, "horizon")),

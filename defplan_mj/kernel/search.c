@@ -7,7 +7,7 @@
 
 typedef struct {
   double position[MAX_D], frame[MAX_D * MAX_D], estimate;
-  int parent, gait, depth;
+  int parent, past, gait, depth; /* depth: in decisions */
 } Node;
 
 size_t dp_search_size(int nodes) {
@@ -17,11 +17,12 @@ size_t dp_search_size(int nodes) {
 }
 
 static double rest(const dp_search_problem* p, const Node* at) {
+  const double* axes = p->axes + (long)p->phase[at->past] * p->n_axes * p->d;
   return cycles_left(p->d, at->position, at->frame, p->target, p->goal_radius, p->advance,
-                     p->per_radian, p->n_axes, p->axes);
+                     p->per_radian, p->n_axes, axes);
 }
 
-/* Whether the straight way of a cycle, `begun` cycles from now, keeps clear of all balls. */
+/* Whether the straight way of a decision, `begun` decisions from now, keeps clear of all balls. */
 static int is_free(const dp_search_problem* p, const double* start, const double* end, int begun) {
   const int d = p->d;
   for (int b = 0; b < p->n_balls; b++) {
@@ -61,6 +62,36 @@ static unsigned long key_of(const dp_search_problem* p, const Node* node, int mo
   return key * 0x9E3779B97F4A7C15UL >> 8;
 }
 
+/* How many decisions the next choice of a way is kept for: the first ones are made one by one,
+ * others until a cycle ends. */
+static int hold_of(const dp_search_problem* p, const Node* node) {
+  return node->depth < p->single ? 1 : p->decisions - p->phase[node->past];
+}
+
+/* Plays a gait for some decisions; returns whether it keeps clear of all balls. */
+static int play(const dp_search_problem* p, Node* node, int gait, int hold) {
+  const int d = p->d;
+  node->gait = gait;
+  for (; hold > 0; hold--, node->depth++) {
+    const int at = node->past * p->n_gaits + gait;
+    const double *R = p->rotations + (long)at * d * d, *t = p->translations + (long)at * d;
+    double position[MAX_D], frame[MAX_D * MAX_D];
+    for (int i = 0; i < d; i++) {
+      position[i] = node->position[i] + dot(node->frame + i * d, t, d);
+      for (int j = 0; j < d; j++) {
+        double sum = 0;
+        for (int l = 0; l < d; l++) sum += node->frame[i * d + l] * R[l * d + j];
+        frame[i * d + j] = sum;
+      }
+    }
+    if (!is_free(p, node->position, position, node->depth)) return 0;
+    memcpy(node->position, position, d * sizeof(double));
+    memcpy(node->frame, frame, d * d * sizeof(double));
+    node->past = p->then[at];
+  }
+  return 1;
+}
+
 static void push(const Node* nodes, int* heap, int n, int entry) {
   while (n > 0 && nodes[heap[(n - 1) / 2]].estimate > nodes[entry].estimate) {
     heap[n] = heap[(n - 1) / 2];
@@ -94,7 +125,9 @@ int dp_search(const dp_search_problem* p, void* memory, int* plan) {
   memset(nodes, 0, sizeof(Node));
   for (int i = 0; i < d; i++) nodes[0].frame[i * d + i] = 1;
   nodes[0].parent = -1;
-  nodes[0].gait = p->before;
+  nodes[0].past = p->before;
+  /* within the first cycle there are few nodes, and none is where another one was at its phase */
+  const int first = p->decisions - p->phase[p->before];
   int made = 1, open = 1, found = -1, best = 0;
   double nearest = INFINITY;
   heap[0] = 0;
@@ -106,35 +139,27 @@ int dp_search(const dp_search_problem* p, void* memory, int* plan) {
       found = current;
       break;
     }
-    if (from.depth >= p->cycles) continue;
+    if (from.depth + hold_of(p, &from) > p->cycles) continue;
+    const int hold = hold_of(p, &from);
     for (int gait = 0; gait < k && made < p->nodes; gait++) {
-      const int at = from.gait * k + gait;
-      const double *R = p->rotations + at * d * d, *t = p->translations + at * d;
       Node* next = nodes + made;
-      for (int i = 0; i < d; i++) {
-        next->position[i] = from.position[i] + dot(from.frame + i * d, t, d);
-        for (int j = 0; j < d; j++) {
-          double sum = 0;
-          for (int l = 0; l < d; l++) sum += from.frame[i * d + l] * R[l * d + j];
-          next->frame[i * d + j] = sum;
-        }
-      }
-      if (!is_free(p, from.position, next->position, from.depth)) continue;
+      *next = from;
+      if (!play(p, next, gait, hold)) continue;
       next->parent = current;
-      next->gait = gait;
-      next->depth = from.depth + 1;
       const double left = rest(p, next);
-      next->estimate = next->depth + p->weight * left;
-      const unsigned long key = key_of(p, next, moving);
-      size_t slot = key % table;
-      int known = 0;
-      for (; keys[slot]; slot = (slot + 1) % table)
-        if (key_of(p, nodes + keys[slot], moving) == key) {
-          known = nodes[keys[slot]].depth <= next->depth;
-          break;
-        }
-      if (known) continue;
-      keys[slot] = made;
+      next->estimate = next->depth / (double)p->decisions + p->weight * left;
+      if (next->depth >= first) {
+        const unsigned long key = key_of(p, next, moving);
+        size_t slot = key % table;
+        int known = 0;
+        for (; keys[slot]; slot = (slot + 1) % table)
+          if (key_of(p, nodes + keys[slot], moving) == key) {
+            known = nodes[keys[slot]].depth <= next->depth;
+            break;
+          }
+        if (known) continue;
+        keys[slot] = made;
+      }
       /* without a way: as long as it is worth to look ahead, then as near as can be */
       const double worth = left + 1000.0 * (next->depth < p->enough ? p->enough - next->depth : 0);
       if (worth < nearest) nearest = worth, best = made;
@@ -143,6 +168,7 @@ int dp_search(const dp_search_problem* p, void* memory, int* plan) {
     if (made >= p->nodes) break;
   }
   const int last = found >= 0 ? found : best;
-  for (int i = last; i > 0; i = nodes[i].parent) plan[nodes[i].depth - 1] = nodes[i].gait;
+  for (int i = last; i > 0; i = nodes[i].parent)
+    for (int j = nodes[nodes[i].parent].depth; j < nodes[i].depth; j++) plan[j] = nodes[i].gait;
   return found >= 0 ? nodes[last].depth : -nodes[last].depth;
 }

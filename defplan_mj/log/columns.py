@@ -63,7 +63,9 @@ def _phase(log: EpisodeLog) -> np.ndarray:
     if not len(log.gait_index):
         return np.full(_count(log), np.nan)
     start, length = log.cycle_steps[cycle], np.diff(log.cycle_steps)[cycle]
-    return np.where(cycle < 0, np.nan, (np.arange(_count(log)) - start) / length)
+    m = log.decisions_per_cycle
+    phase = ((cycle + log.first_cycle) % m + (np.arange(_count(log)) - start) / length) / m
+    return np.where(cycle < 0, np.nan, phase)
 
 
 def _gait_names(log: EpisodeLog, index: np.ndarray) -> np.ndarray:

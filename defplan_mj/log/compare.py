@@ -296,20 +296,33 @@ def _cycles(log: EpisodeLog) -> np.ndarray:
     lengths = np.diff(log.cycle_steps)
     if not len(lengths):
         return np.zeros(0, int)
-    whole = log.gait.steps_per_cycle if "gait.npz" in log.attachments else lengths.max()
+    whole = lengths.max()
+    if "gait.npz" in log.attachments:
+        whole = log.gait.steps_per_cycle // log.decisions_per_cycle
     return np.flatnonzero(lengths == whole)
 
 
 def _predictions(log: EpisodeLog, rows: np.ndarray) -> np.ndarray:
     """Return the (m, 7) logged predictions; those that were not logged are made of the attachment."""
     poses, surrogate = log.surrogate_pose[rows].copy(), RigidDynamics(log.surrogate)
+    pasts = _pasts(log)
     for i in np.flatnonzero(~np.isfinite(poses).all(1)):
         row = int(rows[i])
-        before = int(log.gait_index[row - 1]) if row else None
         poses[i] = surrogate.step(
-            log.states[log.cycle_steps[row]], int(log.gait_index[row]), before
+            log.states[log.cycle_steps[row]], int(log.gait_index[row]), int(pasts[row])
         )
     return poses
+
+
+def _pasts(log: EpisodeLog) -> np.ndarray:
+    """Return the past (`planning.past`) that each cycle of a log began after, (m,)."""
+    told, pasts = log.surrogate.past, np.zeros(len(log.gait_index), int)
+    past, phase = told.rest, log.first_cycle % told.decisions
+    if phase and len(pasts):  # what came before was filtered out
+        past = int(told.kept(phase)[log.gait_index[0]])
+    for row, gait in enumerate(log.gait_index):
+        pasts[row], past = past, int(told.then[past, gait])
+    return pasts
 
 
 def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
@@ -319,7 +332,7 @@ def _errors(log: EpisodeLog, rows: np.ndarray) -> dict[str, np.ndarray]:
     predicted = _predictions(log, rows)
     frame = SPACES[log.space].frame(rotations.matrix(start[:, 3:]))
     return {
-        "cycle": rows,
+        "cycle": rows // log.decisions_per_cycle,
         "start": log.time[log.cycle_steps[rows]],
         "predicted": into_frame(predicted[:, :3] - start[:, :3], frame),
         "truth": into_frame(end[:, :3] - start[:, :3], frame),

@@ -84,6 +84,8 @@ class LoggedContacts:
 class EpisodeLog:
     """One episode: n steps from state 0 to state n, m gait cycles.
 
+    Where the gait may be switched within a cycle, 'cycle' stands for the part of one that a decision plays.
+
     Attributes:
         path: where it was read from.
         fault: '' if the log is whole, else what is wrong with it, as half a sentence.
@@ -109,6 +111,7 @@ class EpisodeLog:
         laser: (m, beams) m, at the cycle's start.
         surrogate_pose: (m, 7) position and quaternion (w x y z) that the surrogate predicted for the
             cycle's end from its true start; NaN if it was not logged.
+        decisions_per_cycle: of the robot, in a gait cycle.
         contacts: of the steps that they were logged at; empty if nothing ever pushes.
         numbers: topic -> number of the step -> numbers, of all channels of labelled numbers; see
             `channel`.
@@ -140,6 +143,7 @@ class EpisodeLog:
     reward: np.ndarray
     laser: np.ndarray
     surrogate_pose: np.ndarray
+    decisions_per_cycle: int = 1
     contacts: tuple[LoggedContacts, ...] = ()
     numbers: dict[str, dict[int, np.ndarray]] = field(default_factory=dict, repr=False)
     first: int = 0
@@ -447,6 +451,9 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         numbers=numbers,
         first=first,
         missing=missing,
+        decisions_per_cycle=validate.whole_number(
+            {"decisions_per_cycle": "1", **identity}, "decisions_per_cycle", 1, validate.MOST_CYCLES
+        ),
         **cycles,
     )
     validate.validate_log(log, modes)

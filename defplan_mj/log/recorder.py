@@ -125,7 +125,9 @@ class Recorder:
         self._moving = bool(np.any(scene.velocities))
         self._navigation = _navigation(given, scene)
         self._steps = self._cycles = 0
-        self._gait: int | None = None  # of the cycle before
+        self._decisions = self._decisions_of(given)
+        surrogate = self._files.surrogate
+        self._past = None if surrogate is None else surrogate.rest  # what came before the decision
         self._cycle_times = [time]  # of the states since the running cycle began
         self._start = self._last = x
         self._chunk_time = time
@@ -140,6 +142,7 @@ class Recorder:
             "integrator": given["integrator"],
             "modes": modes,
             "body_hash": self._files.body.hash,
+            **({"decisions_per_cycle": self._decisions} if self._decisions != 1 else {}),
         }
         configuration = {**given, "scene": dataclasses.asdict(scene)}
         try:
@@ -161,6 +164,14 @@ class Recorder:
         self._write(channels.SCENE, now, scene_update(scene, now))
         self._write_state(now, wire.timestamp(now), x)
         self._flush(time)
+
+    def _decisions_of(self, context: Mapping[str, Any]) -> int:
+        """Return how many decisions a gait cycle has: as a context's navigation says, or the surrogate."""
+        told = context.get("navigation", {})
+        if dataclasses.is_dataclass(told) and not isinstance(told, type):
+            told = dataclasses.asdict(told)
+        surrogate = self._files.surrogate
+        return told.get("decisions_per_cycle", surrogate.decisions_per_cycle if surrogate else 1)
 
     def _open(self) -> Writer:
         """Open the file; return what writes it."""
@@ -208,24 +219,24 @@ class Recorder:
         laser: np.ndarray,
         surrogate_pose: np.ndarray | None = None,
     ) -> None:
-        """Log one gait cycle, after its last step.
+        """Log one gait cycle, or the part of it that a decision plays, after its last step.
 
         Args:
-            index: of the cycle, from 0.
-            time: of the decision, that is at the cycle's start, s.
+            index: of the decision, from 0.
+            time: of the decision, that is at the start of what it plays, s.
             x: (nx,) state at the decision.
             gait_index: the gait that was chosen.
             values: (K,) the planner's value of each gait.
-            reward: of the cycle.
+            reward: of the decision.
             laser: (beams,) distances that were measured at the decision, m.
-            surrogate_pose: (7,) position and quaternion the surrogate predicts for the cycle's end
+            surrogate_pose: (7,) position and quaternion the surrogate predicts for the end
                 (None: computed here from the run's surrogate, if it has one).
         """
         if not np.array_equal(x, self._start):
             raise ValueError(f"cycle {index}: x is not the state at the cycle's start")
         moments = [_ns(at) for at in self._cycle_times]
         for number, at in enumerate(moments[:-1]):
-            phase = number / (len(moments) - 1)
+            phase = (index % self._decisions + number / (len(moments) - 1)) / self._decisions
             where = np.array([gait_index, phase, index], float)
             self._numbers(channels.GAIT, at, wire.timestamp(at), where)
         start, end = _ns(time), moments[-1]
@@ -239,7 +250,7 @@ class Recorder:
             self._numbers(channel.topic, end, stamp, numbers(done))
         if surrogate_pose is None and self._files.surrogate is not None:
             surrogate = RigidDynamics(self._files.surrogate)
-            surrogate_pose = surrogate.step(x[:7], gait_index, self._gait)
+            surrogate_pose = surrogate.step(x[:7], gait_index, self._past)
         if surrogate_pose is not None:
             message = wire.pose_in_frame(stamp, self._frame, surrogate_pose.tolist())
             self._write(channels.SURROGATE, end, message)
@@ -248,7 +259,8 @@ class Recorder:
             # another such cycle would not fit; between cycles, chunks do not overlap in time
             self._flush(last)
         self._cycles += 1
-        self._gait = gait_index
+        if self._files.surrogate is not None and self._past is not None:
+            self._past = int(self._files.surrogate.past.then[self._past, gait_index])
         self._cycle_times = [last]
         self._start = self._last
 

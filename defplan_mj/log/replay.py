@@ -291,6 +291,7 @@ def _navigation(log: EpisodeLog) -> Navigation:
         laser_range=float(navigation.get("laser_range", Navigation().laser_range)),
         space=log.space,
         sensor=navigation.get("sensor", ""),
+        decisions_per_cycle=log.decisions_per_cycle,
     )
 
 

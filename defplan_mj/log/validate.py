@@ -183,7 +183,7 @@ def check_body(log: EpisodeLog, said: str) -> None:
 
 
 def check_cycles(log: EpisodeLog, gait: Gait) -> None:
-    """Raise a DefplanError unless the cycles of a log are cycles of its gait, the last one cut or not."""
+    """Raise a DefplanError unless a log's cycles are (parts of) cycles of its gait, the last one cut or not."""
     if len(log.gait_index) and log.gait_index.max() >= len(gait.task_names):
         refuse(log, channels.GAIT, f"chooses a gait that gait.npz has not ({len(gait.task_names)})")
     if (gait.timestep, gait.stepping) != (log.timestep, log.stepping):
@@ -191,8 +191,9 @@ def check_cycles(log: EpisodeLog, gait: Gait) -> None:
     if gait.amplitude.shape != log.target_shapes.shape[1:]:
         refuse(log, "gait.npz", f"is of {gait.amplitude.size} modes, not of those of the log")
     lengths = np.diff(log.cycle_steps)
-    if (lengths[:-1] != gait.steps_per_cycle).any() or (lengths > gait.steps_per_cycle).any():
-        refuse(log, "cycles", f"have not the {gait.steps_per_cycle} steps of its gait.npz")
+    steps, cut = divmod(gait.steps_per_cycle, log.decisions_per_cycle)
+    if cut or (lengths[:-1] != steps).any() or (lengths > steps).any():
+        refuse(log, "cycles", f"have not the {steps} steps of its gait.npz")
 
 
 def _numbers(value: Any, name: str, columns: int) -> np.ndarray:

@@ -61,9 +61,13 @@ Solve = Callable[[Attempt], "Gait"]
 Measure = Callable[["Gait"], "Switching"]
 
 
-def attempts(seed: int, steps: int) -> list[Attempt]:
-    """Return what is tried, one after the other until no gait fails."""
-    longer = round(_LONGER * steps)
+def attempts(seed: int, steps: int, decisions: int = 1) -> list[Attempt]:
+    """Return what is tried, one after the other until no gait fails.
+
+    Args:
+        decisions: in a cycle, which has to have so many equal parts.
+    """
+    longer = decisions * round(_LONGER * steps / decisions)
     return [
         Attempt("as the task says", seed, steps),
         Attempt("from another start", seed + _OTHER_SEED, steps),
@@ -83,7 +87,8 @@ def choose(run: Run, solve: Solve, measure: Measure) -> tuple[Gait, Switching, l
     """
     spec = run.plan.spec
     tries: list[Solved] = []
-    for attempt in attempts(run.plan.options.seed, spec.steps_per_cycle):
+    decisions = spec.navigation.decisions_per_cycle
+    for attempt in attempts(run.plan.options.seed, spec.steps_per_cycle, decisions):
         try:
             gait = solve(attempt)
             measured = measure(gait)

@@ -229,7 +229,8 @@ def _make_surrogate(run: Run) -> Iterable[Path]:
     path, options = run.file(SURROGATE_FILE), run.plan.options
     progress = run.progress_of("surrogate")
     gait = run.result("gait")
-    fit_surrogate(dynamics(run), gait, options.pairs, options.seed, progress).save(path)
+    decisions = run.plan.spec.navigation.decisions_per_cycle
+    fit_surrogate(dynamics(run), gait, options.pairs, options.seed, progress, decisions).save(path)
     return [path]
 
 
@@ -249,16 +250,19 @@ def _surrogate_figures(run: Run) -> dict[str, Any]:
     ]
     switching = surrogate.switching
     held_out = {} if switching is None else switching.held_out
-    return {"pairs": surrogate.pairs, "tasks": tasks, "held_out": held_out}
+    m = surrogate.decisions_per_cycle
+    parts = {"decisions_per_cycle": m} if m != 1 else {}
+    return {"pairs": surrogate.pairs, "tasks": tasks, "held_out": held_out, **parts}
 
 
 def _surrogate_inputs(run: Run) -> dict[str, Any]:
     from defplan_mj.planning.surrogate import FORMAT_VERSION
 
-    options = run.plan.options
+    options, decisions = run.plan.options, run.plan.spec.navigation.decisions_per_cycle
     return {
         "the file format": FORMAT_VERSION,
         "options": {"pairs": options.pairs, "seed": options.seed},
+        **({"task": {"decisions_per_cycle": decisions}} if decisions != 1 else {}),
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from defplan_mj.planning.past import Past, past_of
 from defplan_mj.planning.surrogate import Motions
 
 IN_PLACE = 0.2
@@ -12,35 +13,45 @@ IN_PLACE_SHARE = 0.4
 """Of the longest way of a cycle, if that is shorter: a slow robot's steps are steps all the same."""
 
 
-def least_way(lengths: np.ndarray) -> float:
-    """Return the way from which on a cycle moves the robot and does not turn it in its place, m.
+def least_way(lengths: np.ndarray, decisions: int = 1) -> float:
+    """Return the way from which on a decision moves the robot and does not turn it in its place, m.
 
     Args:
-        lengths: of the ways of all cycles, m.
+        lengths: of the ways of all decisions, m.
+        decisions: in a cycle.
     """
-    return min(IN_PLACE, IN_PLACE_SHARE * float(lengths.max(initial=0.0)))
+    return min(IN_PLACE / decisions, IN_PLACE_SHARE * float(lengths.max(initial=0.0)))
 
 
 class Ways:
     """Straight ways of cycles, and how close they pass to points.
 
+    Where the gait may be switched within a cycle, 'cycle' means the part of it that a decision plays.
+
     Args:
         start, end: (cycles, d) m.
         begun: (cycles,) how many cycles were done before each; None: none, nothing moves.
+        decisions: in a gait cycle.
 
     Attributes:
         start, end, begun: as given, float32.
         in_place: (cycles,) whether a cycle hardly moves the robot.
     """
 
-    def __init__(self, start: np.ndarray, end: np.ndarray, begun: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        start: np.ndarray,
+        end: np.ndarray,
+        begun: np.ndarray | None = None,
+        decisions: int = 1,
+    ) -> None:
         self.start, self.end = start.astype(np.float32), end.astype(np.float32)
         self.begun = np.zeros(len(start), np.float32) if begun is None else begun.astype(np.float32)
         edge = self.end - self.start
         self._edge, self._length2 = edge, np.maximum((edge * edge).sum(1), 1e-12)
         self._start_edge = (self.start * edge).sum(1)
         self._start2 = (self.start * self.start).sum(1)
-        self.in_place = self._length2 < least_way(np.sqrt(self._length2)) ** 2
+        self.in_place = self._length2 < least_way(np.sqrt(self._length2), decisions) ** 2
 
     def distances2(
         self, points: np.ndarray, drift: np.ndarray | None = None
@@ -86,15 +97,23 @@ class MotionTree(Ways):
     Args:
         motions: of the gaits, plain or switched.
         holds: cycles of each level's choice.
-        before: the gait before the first one; -1: the robot is at rest.
+        before: the past (`planning.past`) at the root; -1: the robot is at rest.
+        pasts: that the motions are by; None: the gait before.
 
     Attributes:
         end_frames: (cycles, d, d) how the robot is turned at the end of each cycle.
     """
 
-    def __init__(self, motions: Motions, holds: tuple[int, ...], before: int = -1) -> None:
+    def __init__(
+        self,
+        motions: Motions,
+        holds: tuple[int, ...],
+        before: int = -1,
+        pasts: Past | None = None,
+    ) -> None:
         motions = motions.switched()
         _, self.gaits, d = motions.translations.shape
+        pasts = past_of(self.gaits) if pasts is None else pasts
         self.holds = holds
         starts, ends, end_frames, begun = [], [], [], []
         position, frames = np.zeros((1, d)), np.eye(d)[None]
@@ -109,8 +128,9 @@ class MotionTree(Ways):
                 ends.append(position)
                 end_frames.append(frames)
                 begun.append(np.full(len(position), done))
-                last, done = gait, done + 1
-        super().__init__(np.concatenate(starts), np.concatenate(ends), np.concatenate(begun))
+                last, done = pasts.then[last, gait], done + 1
+        start, end, done_before = (np.concatenate(part) for part in (starts, ends, begun))
+        super().__init__(start, end, done_before, pasts.decisions)
         self.end_frames = np.concatenate(end_frames).astype(np.float32)
 
     def first_gaits(self, free: np.ndarray, depth: int | None = None) -> np.ndarray:
@@ -147,6 +167,21 @@ def lookahead(gaits: int) -> tuple[int, ...]:
     return _HOLDS.get(gaits, (1, 2, 3))
 
 
-def motion_trees(motions: Motions, holds: tuple[int, ...]) -> list[MotionTree]:
-    """Return the trees after each gait, and last the one from rest."""
-    return [MotionTree(motions, holds, i) for i in range(len(motions.switched().translations))]
+def motion_trees(
+    motions: Motions, holds: tuple[int, ...], pasts: Past | None = None, whole: bool = True
+) -> list[MotionTree]:
+    """Return the trees after each past, the last one from rest.
+
+    Args:
+        holds: whole cycles of each level's choice, whatever the decisions in one.
+        pasts: that the motions are by; None: the gait before.
+        whole: the first choice is kept until its cycle ends, so that all others are of whole cycles of the gaits:
+            what can follow a choice can still follow it one decision later. Else trees of all pasts
+            have the same cycles, and the first choice is kept for as long as a cycle lasts.
+    """
+    pasts = past_of(motions.translations.shape[-2]) if pasts is None else pasts
+    trees = []
+    for past, phase in enumerate(pasts.phase):
+        first, *others = (pasts.decisions * hold for hold in holds)
+        trees.append(MotionTree(motions, (first - whole * phase, *others), past, pasts))
+    return trees

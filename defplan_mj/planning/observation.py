@@ -32,15 +32,17 @@ class Senses:
         navigation: for the sensor and the space.
 
     Attributes:
-        size: the number of features, those of a reading + p points + d + 3 + 4 K + K + 1.
+        size: the number of features, those of a reading + p points + d + 3 + 4 K + K m + 1, with m
+            decisions in a cycle.
     """
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
         self.navigation, self.radius = navigation, np.float32(surrogate.radius)
         self.sensor, self.readings = sensor_of(navigation), reading_size(navigation)
-        self.rest, self.fast = surrogate.rest, np.float32(FAST * surrogate.cycle_seconds)
+        self.past, self.fast = surrogate.past, np.float32(FAST * surrogate.decision_seconds)
+        self.gaits = surrogate.gaits
         motions = surrogate.switched_motions(navigation.space)
-        self.trees = motion_trees(motions, lookahead(surrogate.rest))
+        self.trees = motion_trees(motions, lookahead(self.gaits), self.past, whole=False)
         self._start, self._end = (
             np.ascontiguousarray(np.stack([getattr(tree, name).T for tree in self.trees]))
             for name in ("start", "end")
@@ -50,8 +52,8 @@ class Senses:
         ends = np.linalg.norm(self._end, axis=1)
         self._reach = float(ends.max()) + float(self.radius) + MOST
         points, _ = self.sensor.points(np.zeros(self.readings, np.float32), navigation)
-        d, k = navigation.dimension, surrogate.rest
-        sizes = (self.readings, len(points), d, 3, k + 1, k, k, k, k)
+        d, k = navigation.dimension, self.gaits
+        sizes = (self.readings, len(points), d, 3, k * self.past.decisions + 1, k, k, k, k)
         self._parts = np.cumsum(sizes)[:-1]
         self.size = sum(sizes)
 
@@ -67,19 +69,20 @@ class Senses:
         A reading becomes what its sensor says (a beam its proximity), and of its points how fast they
         come nearer, in 2 m/s. The target, in the robot's frame, becomes its direction (a unit vector)
         and three views of its distance r (m): log(1 + r) / 3, r / 20 and exp(-r / 2), so that near and
-        far are both told apart. The gait before is told by ones and zeros. The room c of a gait's cycle,
-        and of the best sequence, becomes tanh(c / 0.2) and, from c = -0.5 on, exp(-c).
+        far are both told apart. The gait before, and in which part of its cycle, is told by ones and
+        zeros. The room c of what a gait plays until the next decision, and of the best sequence, becomes
+        tanh(c / 0.2) and, from c = -0.5 on, exp(-c).
 
         Args:
             laser: (..., readings) of the sensor.
             target: (..., d) m; the first d components of an observation's.
-            before: (...,) the gait of the cycle before; None: the robot is at rest.
-            drift: (..., p, d) how far the reading's points move in a cycle, m; None: they do not.
+            before: (...,) the past (`planning.past`); None: the robot is at rest.
+            drift: (..., p, d) how far the reading's points move until the next decision, m; None: they do not.
         """
         shape, d = laser.shape[:-1], target.shape[-1]
         laser, target = laser.reshape(-1, self.readings), target.reshape(-1, d)
         n = len(laser)
-        gait = np.broadcast_to(self.rest if before is None else before, shape).reshape(n)
+        past = np.broadcast_to(self.past.rest if before is None else before, shape).reshape(n)
         distance = np.sqrt(np.einsum("nd,nd->n", target, target))
         inverse = 1.0 / np.maximum(distance, 1e-6)
         out = np.zeros((n, self.size), np.float32)
@@ -95,9 +98,9 @@ class Senses:
         far[:, 0] = np.log1p(distance) / 3
         far[:, 1] = distance / 20
         far[:, 2] = np.exp(-0.5 * distance)
-        last[np.arange(n), gait] = 1
-        room = self.room(points, there, moves, gait)
-        for part, one in enumerate((room[:, : self.rest], self.trees[0].best_room(room))):
+        last[np.arange(n), self.past.segment[past]] = 1
+        room = self.room(points, there, moves, past)
+        for part, one in enumerate((room[:, : self.gaits], self.trees[0].best_room(room))):
             rooms[2 * part][:] = np.tanh(one / NARROW)
             rooms[2 * part + 1][:] = np.exp(-np.maximum(one, -0.5) / WIDE)
         return out.reshape(*shape, self.size)
@@ -110,7 +113,7 @@ class Senses:
         Args:
             points, drift: (n, p, d) m, float32.
             there: (n, p) whether something is at the point.
-            before: (n,) the gait before.
+            before: (n,) the past.
         """
         n, d = len(points), points.shape[-1]
         away2 = np.einsum("npd,npd->np", points, points)

@@ -46,8 +46,8 @@ class Shield:
         self.radius, self.dimension = surrogate.radius, navigation.dimension
         deepest = max(depth for depth, _ in levels)
         motions = surrogate.switched_motions(navigation.space)
-        self.trees = motion_trees(motions, (1,) * deepest)
-        self.long_trees = motion_trees(motions, lookahead(surrogate.rest))
+        self.trees = motion_trees(motions, (1,) * deepest, surrogate.past)
+        self.long_trees = motion_trees(motions, lookahead(surrogate.gaits), surrogate.past)
         self.tracker = Tracker(surrogate, navigation)
         ends = [np.linalg.norm(tree.end, axis=1).max() for tree in self.trees + self.long_trees]
         self.reach = float(max(ends)) + self.radius + max(margin for _, margin in levels)
@@ -66,7 +66,7 @@ class Shield:
         """Return the planner's values (K,), those of unsafe gaits lowered below all others."""
         target = observation["target"][: self.dimension]
         seen = self.tracker.update(observation["laser"], target)
-        safe = self.safe(seen.points, seen.drift, self.tracker.odometry.gait)
+        safe = self.safe(seen.points, seen.drift, self.tracker.odometry.past)
         values = self.planner.values({**observation, "safe": safe, "drift": seen.drift_of_all})
         values = np.where(safe, values, values - (np.ptp(values) + 1.0))
         self.tracker.chose(int(np.argmax(values)))
@@ -79,8 +79,8 @@ class Shield:
 
         Args:
             points: (p, d) m.
-            drift: (p, d) how far each moves in a cycle, m; None: nothing moves.
-            before: the gait of the cycle before; -1: the robot is at rest.
+            drift: (p, d) how far each moves until the next decision, m; None: nothing moves.
+            before: the past (`planning.past`); -1: the robot is at rest.
         """
         drift = np.zeros_like(points) if drift is None else drift
         moving = bool(drift.any())

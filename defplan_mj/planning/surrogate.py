@@ -1,4 +1,4 @@
-"""The rigid surrogate f_fit: a gait cycle is one rigid motion, that of its gait and of the gait before it."""
+"""The rigid surrogate f_fit: a decision is one rigid motion, that of its gait and of the gaits before it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from defplan_mj.base import files
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.space import SPACES
 from defplan_mj.planning.frames import frames_of
+from defplan_mj.planning.past import Past, past_of
+from defplan_mj.task import Navigation
 
 FORMAT_VERSION = 2
 
@@ -27,7 +30,7 @@ class Motions(NamedTuple):
     translations: np.ndarray
 
     def of(self, gaits: Any) -> Motions:
-        """Return the motions of some gaits (n,); of switched motions, those of (before (n,), gaits (n,))."""
+        """Return the motions of some gaits (n,); of switched motions, those of (pasts (n,), gaits (n,))."""
         return Motions(self.rotations[gaits], self.translations[gaits])
 
     def switched(self) -> Motions:
@@ -44,15 +47,17 @@ class Motions(NamedTuple):
 
 @dataclass(frozen=True)
 class Switched:
-    """What a cycle does after a cycle of another gait: rows are the gait before, the last one is rest.
+    """What a decision does after others: rows are the pasts (`planning.past`), the last one is rest.
+
+    With one decision a cycle these are the gait before, P = K + 1.
 
     Attributes:
-        rotations: (K + 1, K, 3, 3), in the body frame at the start of the cycle.
-        translations: (K + 1, K, 3) m, likewise.
-        rotation_sd, translation_sd: (K + 1, K) root mean square of what is left, along one axis, rad and m.
-        held_out: errors of a cycle of chains that were not fitted, root mean square: 'place_m' and
-            'turn_rad' of these motions, 'plain_place_m' and 'plain_turn_rad' of one motion a gait, and
-            'cycles', how many; empty if there was too little to hold some of it out.
+        rotations: (P, K, 3, 3), in the body frame at the decision.
+        translations: (P, K, 3) m, likewise.
+        rotation_sd, translation_sd: (P, K) root mean square of what is left, along one axis, rad and m.
+        held_out: errors of a decision of chains that were not fitted, root mean square: 'place_m' and
+            'turn_rad' of these motions, 'plain_place_m' and 'plain_turn_rad' of one motion a gait (and
+            phase), and 'cycles', how many decisions; empty if there was too little to hold some out.
     """
 
     rotations: np.ndarray
@@ -62,14 +67,33 @@ class Switched:
     held_out: dict[str, float]
 
 
+def check_decisions(surrogate: Surrogate, navigation: Navigation) -> None:
+    """Raise a DefplanError unless a surrogate is of as many decisions a cycle as the task."""
+    told, wanted = surrogate.decisions_per_cycle, navigation.decisions_per_cycle
+    if told != wanted:
+        raise DefplanError(
+            f"the surrogate is of {told} decisions a gait cycle and the task of {wanted}: fit the surrogate"
+            " for this task"
+        )
+
+
+def check_whole_cycles(planner: str, navigation: Navigation) -> None:
+    """Raise a DefplanError if a planner that decides once a cycle is to decide more often."""
+    if navigation.decisions_per_cycle != 1:
+        raise DefplanError(
+            f"the planner {planner} decides once a gait cycle: take another one, or set"
+            " navigation.decisions_per_cycle to 1"
+        )
+
+
 _SWITCHED = tuple(field.name for field in fields(Switched) if field.name != "held_out")
 
 
 @dataclass(frozen=True)
 class Surrogate:
-    """f_fit: task j after task i maps the body frame (c, R) to (c + R t_ij, R R_ij).
+    """f_fit: task j after past i maps the body frame (c, R) to (c + R t_ij, R R_ij).
 
-    Table III's plain surrogate, one motion a task, stands beside it; `plain` uses that one alone.
+    Table III's plain surrogate, one motion a task and cycle, stands beside it; `plain` uses that one alone.
 
     Attributes:
         body_hash, gait_hash: what it was fitted to.
@@ -81,7 +105,9 @@ class Surrogate:
         rotation_mean, rotation_sd: (K,) angle of the pairs' own rotations, rad (Table III).
         translation_mean, translation_sd: (K,) length of the pairs' own translations, m (Table III).
         radius: radius about the centre of mass that holds the body's surface over a cycle, m.
-        switching: the motions by the gait before; None: they do not depend on it.
+        switching: the motions by what was before; None: they do not depend on it.
+        decisions_per_cycle: m, how often a cycle the gait may be switched: `switching` is of 1 / m of a
+            cycle, all else of whole ones.
     """
 
     body_hash: str
@@ -97,34 +123,66 @@ class Surrogate:
     translation_sd: np.ndarray
     radius: float
     switching: Switched | None = None
+    decisions_per_cycle: int = 1
 
     @property
     def plain(self) -> Surrogate:
-        """The surrogate with one motion a task, whatever was before."""
-        return replace(self, switching=None)
+        """The surrogate with one motion a task and cycle, whatever was before."""
+        return replace(self, switching=None, decisions_per_cycle=1)
+
+    @property
+    def gaits(self) -> int:
+        """How many there are: K."""
+        return len(self.task_names)
+
+    @property
+    def past(self) -> Past:
+        """The pasts that are told apart."""
+        return past_of(self.gaits, self.decisions_per_cycle)
 
     @property
     def rest(self) -> int:
-        """What stands for the gait before the first one: K."""
-        return len(self.task_names)
+        """The past of a robot at rest: K if it decides once a cycle."""
+        return self.past.rest
+
+    @property
+    def decision_seconds(self) -> float:
+        """Duration of what a decision plays, s."""
+        return self.cycle_seconds / self.decisions_per_cycle
 
     def motions(self, space: str) -> Motions:
-        """Return the tasks' plain motions in a space: all in 'spatial', in 'planar' the level part."""
+        """Return the tasks' plain motions a cycle in a space: all in 'spatial', in 'planar' the level part."""
         d = SPACES[space].dimension
         return Motions(frames_of(self.rotations, d), self.translations[..., :d])
 
     def switched_motions(self, space: str) -> Motions:
-        """Return the motions (K + 1, K, ...) by the gait before, in a space."""
+        """Return the motions (P, K, ...) of a decision by the past, in a space."""
         if self.switching is None:
             return self.motions(space).switched()
         d = SPACES[space].dimension
         switching = self.switching
         return Motions(frames_of(switching.rotations, d), switching.translations[..., :d])
 
+    def cycle_motions(self, space: str) -> Motions:
+        """Return the motions (m, K, ...) of a whole cycle of each task that begins at each phase."""
+        if self.decisions_per_cycle == 1:
+            return Motions(*(part[None] for part in self.motions(space)))
+        single, past, gait = self.switched_motions(space), self.past, np.arange(self.gaits)
+        turns, ways = [], []
+        for phase in range(self.decisions_per_cycle):
+            before, d = past.kept(phase), single.translations.shape[-1]
+            way, turn = np.zeros((len(gait), d)), np.tile(np.eye(d), (len(gait), 1, 1))
+            for _ in range(self.decisions_per_cycle):
+                way, turn = single.of((before, gait)).after(way, turn)
+                before = past.then[before, gait]
+            turns.append(turn)
+            ways.append(way)
+        return Motions(np.array(turns), np.array(ways))
+
     def scatter(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return (K + 1, K) the standard deviations of single cycles: of the turn, rad; of the way, m."""
+        """Return (P, K) the standard deviations of single decisions: of the turn, rad; of the way, m."""
         if self.switching is None:
-            shape = (self.rest + 1, self.rest)
+            shape = (self.rest + 1, self.gaits)
             return np.broadcast_to(self.rotation_sd, shape), np.broadcast_to(
                 self.translation_sd, shape
             )
@@ -146,6 +204,8 @@ class Surrogate:
         if self.switching is not None:
             arrays |= {f"switched_{name}": getattr(self.switching, name) for name in _SWITCHED}
             meta["held_out"] = self.switching.held_out
+        if self.decisions_per_cycle != 1:
+            meta["decisions_per_cycle"] = self.decisions_per_cycle
         files.save_archive(path, "surrogate", FORMAT_VERSION, arrays, meta)
 
     @classmethod

@@ -16,7 +16,7 @@ from defplan_mj.planning.frames import angles, attitude_frames, renewed, turns
 from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS, TIMEOUT
 from defplan_mj.planning.scene import SceneBatch
 from defplan_mj.planning.sensors.sensor import sensor_of
-from defplan_mj.planning.surrogate import Motions, Surrogate
+from defplan_mj.planning.surrogate import Motions, Surrogate, check_decisions
 from defplan_mj.task import Navigation
 
 COLLISION_PENALTY = 1000.0
@@ -98,8 +98,8 @@ class Sight(NamedTuple):
     Attributes:
         laser: (n, readings) of the sensor, m.
         target: (n, d) in the robots' frames, m.
-        before: (n,) the gait of the cycle before, the surrogate's `rest` at the start.
-        drift: (n, p, d) how far the reading's points move in a cycle, in the robots' frames, m: as a
+        before: (n,) the past (`planning.past`), the surrogate's `rest` at the start.
+        drift: (n, p, d) how far the reading's points move in a decision, in the robots' frames, m: as a
             tracker knows it, that is of what was seen before, too. None: nothing moves in these scenes.
     """
 
@@ -127,12 +127,12 @@ class Sight(NamedTuple):
 
 @dataclass(frozen=True)
 class Transition:
-    """What one cycle of all n robots did.
+    """What one decision of all n robots did.
 
     Attributes:
         sight: the new observation, after any reset.
         final: the same before any reset: what the cycle led to.
-        progress: (n,) distance to the target that the cycle gained, m.
+        progress: (n,) distance to the target that it gained, m.
         reward: (n,) Eq. 2.
         outcome: (n,) RUNNING, SUCCESS, COLLISION or TIMEOUT (`planning.outcome`).
     """
@@ -158,13 +158,14 @@ class SurrogateEnv:
     """n robots that each swim through scenes of a batch, on f_fit.
 
     A robot collides when a ball of the surrogate's radius, moved straight from the start to the end
-    of the cycle, touches an obstacle at any time (a cycle can be longer than an obstacle is wide).
-    An episode ends at the goal, at a collision or at the scene's time-out.
+    of the cycle, or of the part of it that a decision plays, touches an obstacle at any time (a cycle can
+    be longer than an obstacle is wide). An episode ends at the goal, at a collision or at the scene's time-out.
 
     Attributes:
         position: (n, d) m.
         frames: (n, d, d), see `planning.frames`.
-        goal, centres, radii, velocities, cycles: of each robot's episode.
+        goal, centres, radii, velocities: of each robot's episode.
+        cycles: (n,) decisions of its episode; with one a cycle these are gait cycles.
 
     Args:
         surrogate: f_fit.
@@ -174,6 +175,9 @@ class SurrogateEnv:
             default there is one robot for each scene and no new episode.
         generator: picks the scenes and draws the noise.
         noise: scatter of the cycles, in units of the surrogate's own standard deviations.
+
+    Raises:
+        DefplanError: the surrogate is of another number of decisions a cycle.
     """
 
     def __init__(
@@ -189,6 +193,8 @@ class SurrogateEnv:
         self.n, self.endless = (len(batch), False) if n is None else (n, True)
         self.generator = np.random.default_rng(0) if generator is None else generator
         self.noise = noise
+        check_decisions(surrogate, navigation)
+        self.past = surrogate.past
         d = navigation.dimension
         rotations, translations = surrogate.switched_motions(navigation.space)
         self.motions = Motions(rotations.astype(np.float32), translations.astype(np.float32))
@@ -198,7 +204,7 @@ class SurrogateEnv:
             np.float32(noise) * way,
         )
         self.sensor = sensor_of(navigation)
-        self.seconds = np.float32(surrogate.cycle_seconds)
+        self.seconds = np.float32(surrogate.decision_seconds)
         self.bank_frames = attitude_frames(batch.orientations, d).astype(np.float32)
         self.bank_centres = batch.centres.astype(np.float32)
         self.bank_radii = batch.radii.astype(np.float32)
@@ -253,12 +259,12 @@ class SurrogateEnv:
         return out
 
     def step(self, actions: np.ndarray) -> Transition:
-        """Move every robot by one cycle of its gait `actions` (n,)."""
+        """Move every robot by one decision for its gait `actions` (n,)."""
         switch = (self.before, np.asarray(actions))
         motions = self.motions.of(switch)
         if self.noise:
             motions = self._scatter(motions, switch)
-        self.before = switch[1].copy()
+        self.before = self.past.then[switch]
         start = self.position
         end, frames = motions.after(start, self.frames)
         drift = self.velocities * self.seconds
@@ -273,7 +279,7 @@ class SurrogateEnv:
         self.known |= self.visible
         self.cycles += 1
         outcome = np.full(self.n, RUNNING)
-        outcome[self.cycles >= self.batch.max_cycles] = TIMEOUT
+        outcome[self.cycles >= self.batch.max_cycles * self.past.decisions] = TIMEOUT
         outcome[reached] = SUCCESS
         outcome[collision] = COLLISION
         final = sight = self.observe()
@@ -320,7 +326,7 @@ class SurrogateRuns:
 
     Attributes:
         outcome: (n,) SUCCESS, COLLISION or TIMEOUT.
-        cycles: (n,) cycles used.
+        cycles: (n,) decisions used; with one a cycle these are gait cycles.
         reward: (n,) Eq. 2, summed over the episode.
     """
 

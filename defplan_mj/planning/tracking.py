@@ -31,7 +31,7 @@ FORGET = 8  # cycles after which an obstacle that is out of sight is forgotten
 SURE = 3.0  # standard deviations: a velocity smaller than these is none
 LOOKS = {2: 1, 3: 2}  # at as many points as dimensions, or more, before a ball's velocity counts
 STANDS, SHARE = 0.12, 0.7
-"""A ball stands if this share of its points are this near to what the scan before saw, m: a wall does."""
+"""A ball stands if this share of its points are this near to what the scan a cycle before saw, m: a wall does."""
 ITERATIONS = 3
 
 
@@ -40,7 +40,7 @@ class Seen(NamedTuple):
 
     Attributes:
         points: (p, d) that the sensor sees, m.
-        drift: (p, d) how far each moves in a cycle, m.
+        drift: (p, d) how far each moves until the next decision, m.
         drift_of_all: (q, d) the same for all points of the reading, 0 where nothing is.
     """
 
@@ -55,7 +55,7 @@ class Balls(NamedTuple):
     Attributes:
         centres: (m, d) m.
         radii: (m,) m.
-        drift: (m, d) how far each moves in a cycle, m.
+        drift: (m, d) how far each moves until the next decision, m.
     """
 
     centres: np.ndarray
@@ -70,6 +70,7 @@ class Tracker:
     takes the robot's motion from its `Odometry` and the obstacle's from v. Of the points that belong to
     no ball whose velocity is known, new balls are fitted, and told to be one that was seen before if
     there is one where it can have got to. One look gives no velocity; what fits no ball stands still.
+    There is a scan a decision; what is told above in cycles is scaled to the time between them.
 
     Args:
         surrogate: f_fit.
@@ -82,9 +83,11 @@ class Tracker:
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
         self.navigation, self.d = navigation, navigation.dimension
         self.odometry = Odometry(surrogate, navigation)
-        self.speed_sd = SPEED_SD * surrogate.cycle_seconds
+        self.decisions = m = surrogate.decisions_per_cycle
+        self.speed_sd, self.known = SPEED_SD * surrogate.decision_seconds, KNOWN / m
+        self.steady = STEADY / m**1.5  # a walk at random, of a velocity that is told in less time
         turn, way = surrogate.scatter()
-        self.way_sd, self.turn_sd = ODOMETRY + float(way.mean()), float(turn.mean())
+        self.way_sd, self.turn_sd = ODOMETRY / m**0.5 + float(way.mean()), float(turn.mean())
         apart = 2 * np.pi if self.d == 2 else np.sqrt(4 * np.pi * navigation.beams)
         self.link = LINK * apart / navigation.beams  # rad
         self.reset()
@@ -95,7 +98,10 @@ class Tracker:
         self.mean, self.covariance = np.zeros((0, size)), np.zeros((0, size, size))
         self.unseen, self.looks = np.zeros(0, int), np.zeros(0, int)
         self.still = np.zeros(0, bool)
-        self._loose = self._last = np.zeros((0, self.d))  # points: of no ball; of the scan before
+        self._loose = np.zeros((0, self.d))  # points of no ball
+        self._scans: list[
+            np.ndarray
+        ] = []  # points of the scans of the last cycle, the oldest first
         self.odometry.reset()
 
     def chose(self, gait: int) -> None:
@@ -106,7 +112,7 @@ class Tracker:
         """Take a sensor's reading (size,) and the target (d,), m; return what is seen, and how it moves."""
         if (motion := self.odometry.moved(target)) is not None:
             self._predict(*motion)
-            self._last = (self._last - motion[0]) @ motion[1]
+            self._scans = [(scan - motion[0]) @ motion[1] for scan in self._scans]
         ends, there = sensor_of(self.navigation).points(
             np.asarray(readings, float), self.navigation
         )
@@ -115,13 +121,14 @@ class Tracker:
         owner = self._find(points, owner)
         count = np.bincount(owner[owner >= 0], minlength=len(self.mean))
         self.looks += count >= self.d
-        here = np.bincount(owner[owner >= 0], _stay(points, self._last)[owner >= 0], len(self.mean))
+        stay = self._stay(points)[owner >= 0]
+        here = np.bincount(owner[owner >= 0], stay, len(self.mean))
         self.still = np.where(count > 0, here >= SHARE * count, self.still)
-        self._last = points
+        self._scans = [*self._scans, points][-self.decisions :]
         velocities = np.concatenate([self._velocities(), np.zeros((1, self.d))])
         every[there] = drift = velocities[owner]  # the last one is that of no ball
         self._loose = points[owner < 0]
-        kept = self.unseen <= FORGET
+        kept = self.unseen <= FORGET * self.decisions
         self.mean, self.covariance = self.mean[kept], self.covariance[kept]
         self.unseen, self.looks, self.still = (
             part[kept] for part in (self.unseen, self.looks, self.still)
@@ -135,8 +142,15 @@ class Tracker:
         radii = np.concatenate([self.mean[:, d], np.zeros(len(loose))])
         return Balls(centres, radii, np.concatenate([self._velocities(), np.zeros_like(loose)]))
 
+    def _stay(self, points: np.ndarray) -> np.ndarray:
+        """Return which points (p, d) are where the scan of a cycle ago, or the first since, saw something."""
+        if not self._scans:
+            return np.zeros(len(points), bool)
+        near = STANDS * len(self._scans) / self.decisions
+        return _stay(points, self._scans[0], near)
+
     def _velocities(self) -> np.ndarray:
-        """Return the (t, d) velocities that are certain, others as 0, m a cycle."""
+        """Return the (t, d) velocities that are certain, others as 0, m until the next decision."""
         d = self.d
         velocity, spread = self.mean[:, d + 1 :], self.covariance[:, d + 1 :, d + 1 :]
         share = np.einsum(
@@ -157,14 +171,14 @@ class Tracker:
         away2 = np.einsum("ti,ti->t", self.mean[:, :d], self.mean[:, :d])
         own = np.arange(d)
         self.covariance[:, own, own] += (self.way_sd**2 + self.turn_sd**2 * away2)[:, None]
-        self.covariance[:, d + 1 + own, d + 1 + own] += STEADY**2
+        self.covariance[:, d + 1 + own, d + 1 + own] += self.steady**2
         self.unseen += 1
 
     def _follow(self, points: np.ndarray) -> np.ndarray:
         """Correct balls of known velocity by their points; return to which each belongs (p,), -1: to none."""
         d, part = self.d, self.d + 1
         spread = np.trace(self.covariance[:, part:, part:], axis1=1, axis2=2)
-        balls = np.flatnonzero(spread < d * KNOWN**2)
+        balls = np.flatnonzero(spread < d * self.known**2)
         if not len(balls) or not len(points):
             return np.full(len(points), -1)
         mean, covariance = self.mean[balls], self.covariance[balls]
@@ -257,8 +271,12 @@ class Tracker:
         self.unseen[ball] = 0
 
 
-def _stay(points: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return which points (p, d) are where a scan before (q, d) saw something: between its two nearest points."""
+def _stay(points: np.ndarray, before: np.ndarray, near: float) -> np.ndarray:
+    """Return which points (p, d) are where a scan before (q, d) saw something: between its two nearest points.
+
+    Args:
+        near: how far from there at most, m.
+    """
     if len(before) < 2:
         return np.zeros(len(points), bool)
     offset = before - points[:, None]
@@ -267,7 +285,7 @@ def _stay(points: np.ndarray, before: np.ndarray) -> np.ndarray:
     edge = two - one
     share = -np.einsum("pd,pd->p", one, edge) / np.maximum(np.einsum("pd,pd->p", edge, edge), 1e-12)
     gap = one + np.clip(share, 0, 1)[:, None] * edge
-    return np.einsum("pd,pd->p", gap, gap) < STANDS**2
+    return np.einsum("pd,pd->p", gap, gap) < near**2
 
 
 def _rows(mean: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -42,6 +42,15 @@ def validate_surrogate(surrogate: Surrogate, where: str) -> None:
     pairs = surrogate.pairs
     if not isinstance(pairs, int) or isinstance(pairs, bool) or not 1 <= pairs < 2**31:
         refuse("pairs", f"is {pairs!r:.40}, a whole number of at least 1 is wanted")
+    decisions = surrogate.decisions_per_cycle
+    if not isinstance(decisions, int) or isinstance(decisions, bool) or not 1 <= decisions < 1000:
+        refuse(
+            "decisions_per_cycle", f"is {decisions!r:.40}, a whole number of at least 1 is wanted"
+        )
+    if decisions > 1 and surrogate.switching is None:
+        refuse(
+            "decisions_per_cycle", f"is {decisions}, and motions of parts of a cycle are missing"
+        )
     for name in ("cycle_seconds", "radius"):
         value = getattr(surrogate, name)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 1e9:
@@ -60,7 +69,21 @@ def validate_surrogate(surrogate: Surrogate, where: str) -> None:
         bad = np.isinf(array) if name.endswith("_sd") else ~np.isfinite(array)
         if bad.any():
             refuse(name, "has numbers that are not finite")
-    turns = surrogate.rotations
-    off = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max()
-    if off > _ORTHONORMAL or (np.linalg.det(turns) < 0.0).any():
+    if not _are_rotations(surrogate.rotations):
         refuse("rotations", "are no rotations")
+    if (switching := surrogate.switching) is None:
+        return
+    pasts = surrogate.rest + 1
+    shapes = {"rotations": (pasts, k, 3, 3), "translations": (pasts, k, 3)}
+    shapes |= dict.fromkeys(("rotation_sd", "translation_sd"), (pasts, k))
+    for name, shape in shapes.items():
+        array = getattr(switching, name)
+        if array.dtype.kind != "f" or array.shape != shape or not np.isfinite(array).all():
+            refuse(f"switched {name}", f"must be finite numbers of shape {shape}")
+    if not _are_rotations(switching.rotations):
+        refuse("switched rotations", "are no rotations")
+
+
+def _are_rotations(turns: np.ndarray) -> bool:
+    off = np.abs(turns @ np.swapaxes(turns, -1, -2) - np.eye(3)).max()
+    return bool(off <= _ORTHONORMAL and (np.linalg.det(turns) >= 0.0).all())

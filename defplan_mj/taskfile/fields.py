@@ -183,6 +183,7 @@ BOUNDS: dict[type, dict[str, Bound]] = {
         "distance": _POSITIVE,
         "goal_radius": _POSITIVE,
         "max_cycles": _from(1),
+        "decisions_per_cycle": _from(1),
         "k2": _from(1),
         "k2_obstacles": _from(0),
         "novel_obstacles": _from(0),

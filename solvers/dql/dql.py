@@ -15,7 +15,7 @@ from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.planning.observation import Senses
-from defplan_mj.planning.planner import Observation, Planner, TrainResult
+from defplan_mj.planning.planner import Observation, Planner, TrainResult, carried_out
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.tracking import Tracker
 from defplan_mj.task import Navigation
@@ -86,9 +86,9 @@ class DqlPlanner:
         drift = observation.get("drift")  # the shield's tracker has seen the same
         if drift is None:
             drift = self.tracker.update(laser, target).drift_of_all
-        inputs = self.senses(laser, target, self.loops.odometry.gait, drift)
+        inputs = self.senses(laser, target, self.loops.odometry.past, drift)
         values = self.loops.adjust(self.network(inputs), target, observation)
-        self.tracker.chose(self.loops.odometry.gait)
+        self.tracker.chose(carried_out(values, observation))
         return values
 
 

@@ -17,7 +17,7 @@ from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.planning.planner import Observation, Planner, TrainResult
-from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.planning.surrogate import Surrogate, check_whole_cycles
 from defplan_mj.task import Navigation
 from defplan_solvers.policy_files import load_policy, save_policy
 
@@ -112,6 +112,7 @@ class DqlPaperSolver:
         """
         from defplan_solvers.dql.paper_training import train
 
+        check_whole_cycles(self.name, navigation)
         started = time.perf_counter()
         network, curves, meta = train(
             surrogate, navigation, seed, self.configuration, seconds, progress
@@ -146,6 +147,7 @@ class DqlPaperSolver:
 
         from defplan_solvers.dql.paper_training import PaperNetwork
 
+        check_whole_cycles(self.name, navigation)
         arrays, meta = load_policy(path, self.name, surrogate.task_names)
         with files.fields_of(path, "policy"):
             if (meta["beams"], meta["space"]) != (navigation.beams, navigation.space):

@@ -56,14 +56,14 @@ class Recipe:
             the planner wants to pass and the shield does not let it, the robot would be stuck.
         hidden: units of each hidden layer.
         convolutions: the paper's CNN sees the beams.
-        batch, buffer, learning_rate, discount, n_steps: of DQN. The buffer holds the whole
-            training: one that forgets early collisions unlearns to avoid them.
+        batch, buffer, learning_rate, discount, n_steps: of DQN, the last two for whole gait cycles. The
+            buffer holds the whole training: one that forgets early collisions unlearns to avoid them.
         target_steps: updates between two copies to the target network.
         explore_first, explore_share: random gaits at the start, falling over that share of training.
         explore_range: lowest and highest share of random gaits afterwards, spread over the robots.
         reward: 'progress' in units of an advance, besides the terms below; 'goal', these terms
             alone; or 'eq2', the paper's reward as it stands, without them.
-        collision, goal, cycle: terms of the reward.
+        collision, goal, cycle: terms of the reward, the last one for each gait cycle.
         k2_only: trains on the K2 scenes, as the paper does, not on the bank.
         averaging: decay of the averaged network, a step.
         checkpoints: evaluations during training.
@@ -136,6 +136,7 @@ def train(
 
 
 def _build(env: _Robots, seed: int, recipe: Recipe) -> _RobotsDQN:
+    decisions = env.robots.past.decisions
     network: dict[str, Any] = {
         "net_arch": list(recipe.hidden),
         "activation_fn": torch.nn.Softplus,
@@ -151,8 +152,8 @@ def _build(env: _Robots, seed: int, recipe: Recipe) -> _RobotsDQN:
         buffer_size=recipe.buffer,
         learning_starts=min(5000, recipe.transitions // 4),
         batch_size=recipe.batch,
-        gamma=recipe.discount,
-        n_steps=recipe.n_steps,
+        gamma=recipe.discount ** (1 / decisions),
+        n_steps=recipe.n_steps * decisions,
         train_freq=1,
         gradient_steps=1,
         target_update_interval=recipe.target_steps * recipe.robots,
@@ -197,7 +198,7 @@ class _Robots(VecEnv):
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
         step = self.robots.step(self.actions)
-        reward = _reward(step, self.recipe, self.advance)
+        reward = _reward(step, self.recipe, self.advance, self.robots.past.decisions)
         done = step.outcome != RUNNING
         infos: list[dict] = [{} for _ in range(self.num_envs)]
         ended = np.flatnonzero(done)
@@ -226,12 +227,12 @@ class _Robots(VecEnv):
         return [False] * self.num_envs
 
 
-def _reward(step: Transition, recipe: Recipe, advance: float) -> np.ndarray:
-    """Return the (n,) rewards of a cycle; `advance` is the longest of a gait, m."""
+def _reward(step: Transition, recipe: Recipe, advance: float, decisions: int = 1) -> np.ndarray:
+    """Return the (n,) rewards of a decision; `advance` is the longest of a gait's cycle, m."""
     if recipe.reward == "eq2":
         return step.reward
     reward = step.progress / advance if recipe.reward == "progress" else np.zeros(len(step.outcome))
-    reward = reward - recipe.cycle
+    reward = reward - recipe.cycle / decisions
     reward -= recipe.collision * (step.outcome == COLLISION)
     reward += recipe.goal * (step.outcome == SUCCESS)
     return reward

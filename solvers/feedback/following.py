@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.space import SPACES
 from defplan_mj.dynamics import tangent
 from defplan_mj.dynamics.reduced import ReducedDynamics
@@ -136,8 +137,17 @@ class Follower:
         self.step = self._task = 0
         self._frame: Frame | None = None
 
-    def begin(self, task: int, x: np.ndarray) -> None:
-        """Begin a cycle: the frame to follow begins where the body is, on its old course if near."""
+    def begin(self, task: int, x: np.ndarray, first: int = 0) -> None:
+        """Begin a cycle: the frame to follow begins where the body is, on its old course if near.
+
+        Raises:
+            DefplanError: it is to be entered within, at the step `first`.
+        """
+        if first:
+            raise DefplanError(
+                "a feedback that follows mean cycles follows whole ones: take the feedback none, or set"
+                " navigation.decisions_per_cycle to 1"
+            )
         here = Frame.of(x, self.level, self.depth)
         if self._frame is not None:
             course = self._frame.then(self.track.motion).quaternion

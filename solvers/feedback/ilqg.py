@@ -97,9 +97,13 @@ class Ilqg:
         self._guide: Guide | None = None
         self._more = np.zeros((self.options.horizon, len(self.follower.bound)))
 
-    def begin(self, task: int, x: np.ndarray) -> None:
-        """Begin a cycle of gait `task` in the state x (nx,)."""
-        self.follower.begin(task, x)
+    def begin(self, task: int, x: np.ndarray, first: int = 0) -> None:
+        """Begin a cycle of gait `task` in the state x (nx,).
+
+        Raises:
+            DefplanError: it is to be entered within, at the step `first`.
+        """
+        self.follower.begin(task, x, first)
         self._guide = None  # it is told from the old frame
 
     def shape(self, x: np.ndarray) -> np.ndarray:

@@ -62,9 +62,13 @@ class Lqr:
         """Forget the frame that is followed."""
         self.follower.reset()
 
-    def begin(self, task: int, x: np.ndarray) -> None:
-        """Begin a cycle of gait `task` in the state x (nx,)."""
-        self.follower.begin(task, x)
+    def begin(self, task: int, x: np.ndarray, first: int = 0) -> None:
+        """Begin a cycle of gait `task` in the state x (nx,).
+
+        Raises:
+            DefplanError: it is to be entered within, at the step `first`.
+        """
+        self.follower.begin(task, x, first)
 
     def shape(self, x: np.ndarray) -> np.ndarray:
         """Return the next target shape (r,), within the gait's amplitude."""

@@ -37,10 +37,10 @@ class AstarPlanner:
         """Return (K,) minus the cycles that are left after each gait, the plan's gait first."""
         target = observation["target"][: self.dimension]
         points = self.map.update(observation["laser"], target)
-        values = -self.search.outlook.after_each(target)
+        values = -self.search.outlook.after_each(target, self.map.odometry.phase)
         gait = self._plan(points, target)
         if gait is None:
-            safe = self.shield.safe(points, before=self.map.odometry.gait)
+            safe = self.shield.safe(points, before=self.map.odometry.past)
             values = np.where(safe, values, values - np.ptp(values) - 1)
         else:
             values[gait] = values.max() + 1
@@ -48,7 +48,7 @@ class AstarPlanner:
         return values
 
     def _plan(self, points: np.ndarray, target: np.ndarray) -> int | None:
-        before = self.map.odometry.gait
+        before = self.map.odometry.past
         for margin in MARGINS:
             clearance = self.radius + margin
             gait = self.search.first_gait(points, clearance, self.radius, target, before, HORIZON)

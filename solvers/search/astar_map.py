@@ -6,7 +6,7 @@ import numpy as np
 
 from defplan_mj.planning.planner import Observation, carried_out
 from defplan_mj.planning.shield import Shield
-from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.planning.surrogate import Surrogate, check_decisions
 from defplan_mj.task import Navigation
 from defplan_solvers.search.astar import MARGINS
 from defplan_solvers.search.full_map import surface_points, told_obstacles
@@ -24,22 +24,24 @@ class AstarMapPlanner:
     needs_obstacles = True
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
+        check_decisions(surrogate, navigation)
         self.radius, self.dimension = surrogate.radius, navigation.dimension
         self.search = ManoeuvreSearch(surrogate, navigation)
+        self.past = surrogate.past
         self.shield = Shield(self, surrogate, navigation)  # its rule, for when there is no plan
 
         self.reset()
 
     def reset(self) -> None:
-        """Forget the gait of the last cycle: the robot is at rest."""
-        self.before = -1
+        """Forget the gaits before: the robot is at rest."""
+        self.before = self.past.rest
 
     def values(self, observation: Observation) -> np.ndarray:
         """Return (K,) minus the cycles that are left after each gait, the plan's gait first."""
         target = observation["target"][: self.dimension]
         obstacles = told_obstacles(observation, NAME)[:, : self.dimension + 1]
         points = surface_points(obstacles, SPACING, HORIZON + 3)
-        values = -self.search.outlook.after_each(target)
+        values = -self.search.outlook.after_each(target, int(self.past.phase[self.before]))
         for margin in MARGINS:
             clearance = self.radius + margin
             known = points, clearance, self.radius, target
@@ -50,7 +52,7 @@ class AstarMapPlanner:
         else:
             safe = self.shield.safe(points, before=self.before)
             values = np.where(safe, values, values - np.ptp(values) - 1)
-        self.before = carried_out(values, observation)
+        self.before = int(self.past.then[self.before, carried_out(values, observation)])
         return values
 
 

@@ -33,7 +33,7 @@ class ForesightPlanner:
         """Return (K,) minus the cycles that are left after each gait, the way's first gait first."""
         target = observation["target"][: self.d]
         self.tracker.update(observation["laser"], target)
-        before = self.tracker.odometry.gait
+        before = self.tracker.odometry.past
         values = self.search.values(self.tracker.balls(), target, before, MARGINS)
         self.tracker.chose(carried_out(values, observation))
         return values

@@ -35,17 +35,21 @@ class LoopBreaker:
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
         self.odometry = Odometry(surrogate, navigation)
-        self.outlook = Outlook(surrogate.motions(navigation.space), navigation.goal_radius)
-        self.heading = self.outlook.axes[0]
+        self.outlook = Outlook(surrogate.cycle_motions(navigation.space), navigation.goal_radius)
+        self.heading = self.outlook.axes_at[:, 0]  # at each phase
         turns, self.ends = surrogate.switched_motions(navigation.space)
-        self.headings = turns @ self.heading
+        self.headings = np.empty_like(self.ends)
+        self.phase = surrogate.past.phase
+        for phase, heading in enumerate(np.roll(self.heading, -1, 0)):
+            self.headings[self.phase == phase] = turns[self.phase == phase] @ heading
         self.reset()
 
     def reset(self) -> None:
         """Forget the episode."""
         self.odometry.reset()
-        self._places = np.zeros((0, len(self.heading)))  # in the robot's present frame
+        self._places = np.zeros((0, self.heading.shape[1]))  # in the robot's present frame
         self._headings = self._places
+        self._phases = np.zeros(0, int)
 
     def adjust(
         self, values: np.ndarray, target: np.ndarray, observation: Observation
@@ -63,10 +67,14 @@ class LoopBreaker:
             self._places = (self._places - shift) @ turn
             self._headings = self._headings @ turn
         self._places = np.vstack([self._places, np.zeros_like(target)])
-        self._headings = np.vstack([self._headings, self.heading])
-        ends, headings = self.ends[self.odometry.gait], self.headings[self.odometry.gait]
-        away = np.linalg.norm(ends[:, None] - self._places, axis=2) / self.outlook.advance
-        turned = np.arccos(np.clip(headings @ self._headings.T, -1, 1))
+        past, phase = self.odometry.past, self.odometry.phase
+        self._headings = np.vstack([self._headings, self.heading[phase]])
+        self._phases = np.append(self._phases, phase)
+        ends, headings = self.ends[past], self.headings[past]
+        # a robot in another part of its cycle is not the same, wherever it is
+        same = self._phases == (phase + 1) % len(self.heading)
+        away = np.linalg.norm(ends[:, None] - self._places[same], axis=2) / self.outlook.advance
+        turned = np.arccos(np.clip(headings @ self._headings[same].T, -1, 1))
         apart = away + self.outlook.per_radian * turned
         values = values - VISIT * np.exp(-((apart / SAME) ** 2)).sum(1)
         self.odometry.chose(carried_out(values, observation))

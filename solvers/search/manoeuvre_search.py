@@ -26,14 +26,15 @@ class ManoeuvreSearch:
 
     Attributes:
         outlook: estimates what is left.
-        steps: of the search, after each gait, and last those from rest.
+        steps: of the search, after each past (`planning.past`), and last those from rest.
         alike: headings closer than this count as one: what one manoeuvre reaches anyway.
     """
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
-        self.outlook = Outlook(surrogate.motions(navigation.space), navigation.goal_radius)
+        self.outlook = Outlook(surrogate.cycle_motions(navigation.space), navigation.goal_radius)
         motions, heading = surrogate.switched_motions(navigation.space), self.outlook.axes[0]
-        self.steps = [Manoeuvres(motions, heading, i) for i in range(surrogate.rest + 1)]
+        past = surrogate.past
+        self.steps = [Manoeuvres(motions, heading, i, past) for i in range(past.rest + 1)]
         self.alike = max(HEADING, max(after.span for after in self.steps))
         self._arrays = self._packed()
 
@@ -81,7 +82,7 @@ class ManoeuvreSearch:
                 turn the robot in its place.
             least: clearance that cycles keep in any case, m.
             target: (d,) m, in the robot's frame.
-            before: the gait of the cycle before; -1: the robot is at rest.
+            before: the past (`planning.past`); -1: the robot is at rest.
             horizon: a way that gets this far is good enough, m.
         """
         given = {

@@ -39,7 +39,7 @@ class OraclePlanner:
         target, d = observation["target"][: self.d], self.d
         told = told_obstacles(observation, "oracle")
         balls = Balls(told[:, :d], told[:, d], told[:, d + 1 :])
-        values = self.search.values(balls, target, self.odometry.gait, MARGINS)
+        values = self.search.values(balls, target, self.odometry.past, MARGINS)
         self.odometry.chose(carried_out(values, observation))
         return values
 

@@ -12,7 +12,7 @@ import zlib
 import numpy as np
 
 from defplan_mj.planning.planner import Observation, carried_out
-from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.planning.surrogate import Surrogate, check_whole_cycles
 from defplan_mj.task import Navigation
 from defplan_solvers.search.full_map import clearances, told_obstacles
 from defplan_solvers.search.outlook import Outlook
@@ -31,6 +31,7 @@ class RrtPlanner:
     needs_obstacles = True
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
+        check_whole_cycles(NAME, navigation)
         self.motions = surrogate.motions(navigation.space)
         self.radius, self.dimension = surrogate.radius, navigation.dimension
         self.goal_radius = navigation.goal_radius

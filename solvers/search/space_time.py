@@ -14,11 +14,15 @@ from defplan_mj.task import Navigation
 from defplan_solvers.search.outlook import Outlook
 
 CELL, HEADING = 0.3, 0.3  # poses closer than this count as one, m and (of a unit vector) 1
+SINGLE = 256  # beginnings of a way, within the cycle that it begins in, that are told apart at most
 ENOUGH = 15  # cycles: if there is no way, one that is safe for so long is as good as any
 
 
 class SpaceTime:
     """Searches of one robot.
+
+    Where the gait may be switched within a cycle, a way does so until its first cycle ends, then at the
+    end of each: it is searched anew at every decision.
 
     Args:
         surrogate: f_fit, with the motions by the gait before.
@@ -31,12 +35,17 @@ class SpaceTime:
         self, surrogate: Surrogate, navigation: Navigation, weight: float = 1.2, nodes: int = 50_000
     ) -> None:
         motions = surrogate.switched_motions(navigation.space)
-        self.outlook = Outlook(surrogate.motions(navigation.space), navigation.goal_radius)
+        self.outlook = Outlook(surrogate.cycle_motions(navigation.space), navigation.goal_radius)
         self.rotations, self.translations, self.axes = (
-            np.ascontiguousarray(part, float) for part in (*motions, self.outlook.axes)
+            np.ascontiguousarray(part, float) for part in (*motions, self.outlook.axes_at)
         )
-        self.radius, self.d, self.gaits = surrogate.radius, navigation.dimension, surrogate.rest
-        self.cycles, self.weight, self.nodes = navigation.max_cycles, weight, nodes
+        self.past, self.gaits = surrogate.past, surrogate.gaits
+        self.then, self.phase = (
+            np.ascontiguousarray(table, np.int32) for table in (self.past.then, self.past.phase)
+        )
+        self.radius, self.d = surrogate.radius, navigation.dimension
+        self.cycles = navigation.max_cycles * self.past.decisions
+        self.weight, self.nodes = weight, nodes
 
     def way(
         self,
@@ -51,7 +60,7 @@ class SpaceTime:
         Args:
             balls: the obstacles, in the robot's frame.
             target: (d,) m, likewise.
-            before: the gait of the cycle before.
+            before: the past (`planning.past`).
             margin: that the robot's ball keeps, m; where there is less already, it may gain some.
             horizon: a way that gets this far from the robot is good enough, m.
         """
@@ -66,16 +75,20 @@ class SpaceTime:
             "target": target,
             "balls": wide,
             "axes": self.axes,
+            "then": self.then,
+            "phase": self.phase,
         }
         problem = SearchProblem(
             d=self.d,
             n_gaits=self.gaits,
             before=before,
             n_balls=len(wide),
-            n_axes=len(self.axes),
+            n_axes=self.axes.shape[1],
+            decisions=self.past.decisions,
+            single=self._single(before),
             nodes=self.nodes,
             cycles=self.cycles,
-            enough=ENOUGH,
+            enough=ENOUGH * self.past.decisions,
             goal_radius=self.outlook.goal_radius,
             margin=margin,
             weight=self.weight,
@@ -90,6 +103,11 @@ class SpaceTime:
         plan = np.zeros(self.cycles, np.int32)
         length = kernel_.dp_search(ctypes.byref(problem), memory.ctypes.data, plan)
         return plan[: abs(length)], length > 0
+
+    def _single(self, before: int) -> int:
+        """Return how many of the first decisions are made one by one; later ones are for whole cycles."""
+        left = self.past.decisions - int(self.past.phase[before])
+        return max(n for n in range(1, left + 1) if n == 1 or self.gaits**n <= SINGLE)
 
     def first_gait(
         self, balls: Balls, target: np.ndarray, before: int, margins: Sequence[float]
@@ -115,7 +133,7 @@ class SpaceTime:
         Args:
             balls, target, before, margins: see `first_gait`.
         """
-        values = -self.outlook.after_each(target)
+        values = -self.outlook.after_each(target, int(self.past.phase[before]))
         gait = self.first_gait(balls, target, before, margins)
         if gait is not None:
             values[gait] = values.max() + 1

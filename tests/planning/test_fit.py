@@ -13,6 +13,7 @@ from defplan_mj.dynamics.reduced import ReducedDynamics
 from defplan_mj.dynamics.rigid import RigidDynamics
 from defplan_mj.gait.gait import Gait
 from defplan_mj.planning.fit import Cycles, fit_surrogate, fit_switched, pair_moments
+from defplan_mj.planning.past import past_of
 from defplan_mj.planning.surrogate import Surrogate
 
 
@@ -136,7 +137,7 @@ def test_a_pair_of_gaits_that_never_occurred_has_its_gait_s_plain_motion():
     ways = np.array([[1.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0], [5.0, 0, 0]])
     cycles = Cycles(np.arange(4), before, task, turn.repeat(4, 0), ways)
     none = cycles.some(np.zeros(4, bool))
-    switched = fit_switched(cycles, none, 2)
+    switched = fit_switched(cycles, none, past_of(2))
     expected = np.array([[1, 4], [2, 4], [1.5, 4]])
     assert np.allclose(switched.translations[:, :, 0], expected)
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from defplan_mj.base.rotations import level_attitude
+from defplan_mj.planning.past import past_of
 from defplan_mj.planning.scene import Scene, SceneBatch
-from defplan_mj.planning.surrogate import Surrogate
+from defplan_mj.planning.surrogate import Surrogate, Switched
 
 
 def surrogate(
@@ -114,3 +117,32 @@ def scene(circles=(), target=(10.0, 0.0), velocities=None, yaw=0.0, **kwargs) ->
 
 def batch(*scenes: Scene) -> SceneBatch:
     return SceneBatch.of(list(scenes))
+
+
+def in_parts(whole: Surrogate, decisions: int, swing: float = 0.25) -> Surrogate:
+    """Return a surrogate whose cycles are made of equal parts, between which the heading swings to and fro.
+
+    Its parts, `decisions` of one gait on end, make that gait's whole cycle, exactly.
+
+    Args:
+        swing: how far the heading is off within a cycle, about z, rad.
+    """
+    past = past_of(whole.gaits, decisions)
+    swings = Rotation.from_rotvec(
+        np.outer(swing * np.sin(2 * np.pi * np.arange(decisions) / decisions + 0.3), [0, 0, 1])
+    ).as_matrix()
+    parts = Rotation.from_matrix(whole.rotations)
+    turns = Rotation.from_rotvec(parts.as_rotvec() / decisions).as_matrix()
+    powers = [np.linalg.matrix_power(turns, i) for i in range(decisions)]
+    ways = np.linalg.solve(np.sum(powers, axis=0), whole.translations[..., None])
+    out = swings[past.phase][:, None].swapaxes(2, 3)
+    back = swings[(past.phase + 1) % decisions][:, None]
+    shape = (past.rest + 1, whole.gaits)
+    switching = Switched(
+        out @ turns[None] @ back,
+        (out @ ways[None])[..., 0],
+        np.broadcast_to(whole.rotation_sd / decisions, shape).copy(),
+        np.broadcast_to(whole.translation_sd / decisions, shape).copy(),
+        {},
+    )
+    return replace(whole, switching=switching, decisions_per_cycle=decisions)

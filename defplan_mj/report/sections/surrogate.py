@@ -69,19 +69,28 @@ def _by_pair(surrogate: Surrogate) -> list[Text | Table]:
     if surrogate.switching is None or not surrogate.switching.held_out:
         return []
     told = surrogate.switching.held_out
+    m = surrogate.decisions_per_cycle
     rows = [
         [name, f"{told[f'{key}place_m']:.3f}", f"{told[f'{key}turn_rad']:.3f}"]
         for name, key in (("one motion a gait", "plain_"), ("by the gait before, too", ""))
     ]
+    text = (
+        "What a cycle does depends on the gait before it. Planner, training and collision check use "
+        "a motion for each pair of gaits, and one for each gait from rest."
+    )
+    if m > 1:
+        text = (
+            f"The gait is chosen {m} times a cycle. What 1 / {m} of one does depends on the gaits of the cycle "
+            "before it. Planner, training and collision check use a motion for each gait after each of these."
+        )
+        rows[0][0], rows[1][0] = "one motion a gait and phase", "by the gaits before, too"
+    part, many = ("a cycle", "cycles") if m == 1 else (f"1 / {m} of a cycle", "of them")
     return [
-        Text(
-            "What a cycle does depends on the gait before it. Planner, training and collision check use "
-            "a motion for each pair of gaits, and one for each gait from rest."
-        ),
+        Text(text),
         Table(
             ["surrogate", "place (m)", "rotation (rad)"],
             rows,
-            f"How far a cycle is from its prediction, root mean square of {told['cycles']:.0f} cycles "
+            f"How far {part} is from its prediction, root mean square of {told['cycles']:.0f} {many} "
             "that were not fitted.",
         ),
     ]
