@@ -67,7 +67,7 @@ def write_gaits(folder: Path, tasks: set[str]) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Make what is asked for."""
-    names = sorted(spec.name for spec in BODIES.values())
+    names = sorted({spec.name for spec in BODIES.values()} | {quadruped.RUN.name})
     parser = argparse.ArgumentParser(prog="python -m defplan_tasks.package", description=__doc__)
     parser.add_argument("what", choices=["bodies", "gaits"])
     parser.add_argument("folder", nargs="?", type=Path, default=environments.ASSETS)

@@ -119,7 +119,7 @@ RUN = dataclasses.replace(
     gait_tasks=walking.walking_tasks(1.0),
     weights=dataclasses.replace(walking.WEIGHTS, slip=0.1),
     feedback="ilqg",
-    shipped=None,  # its gaits are not trained anew yet for the variational step
+    shipped=environments.packaged_files("quadruped_walker_body", "quadruped_runner_gait"),
 )
 
 SUITE = containers.TaggedTasks()
