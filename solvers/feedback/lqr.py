@@ -36,7 +36,9 @@ def gains(cycle: MeanCycle, track: Track, effort: np.ndarray) -> np.ndarray:
     return out
 
 
-_WEIGHTS = Weights()
+_WEIGHTS = Weights(effort=10.0)
+"""Gains that ask for more are right near the cycle only: with an effort of 1, that of `ilqg`, a walker which is
+pushed, or whose feet slip, falls more often than in open loop."""
 
 
 class Lqr:
@@ -84,7 +86,7 @@ class Lqr:
 class LqrSolver:
     """The plugin."""
 
-    weigh: Weights = Weights()
+    weigh: Weights = _WEIGHTS
     kind: ClassVar = "feedback"
     name: ClassVar = "lqr"
     summary: ClassVar = (
