@@ -246,26 +246,10 @@ def _long() -> dict[str, Callable[[], bytes]]:
 
 def main() -> None:
     """Print what reading each bomb that is named took, a JSON object a line."""
-    import time
-
-    from defplan_mj.base.errors import DefplanError
     from tests.samples.meshes import load_mesh
-    from tests.samples.peak import forget, peak
+    from tests.samples.peak import tell
 
-    makers = bombs()
-    with tempfile.TemporaryDirectory() as folder:
-        for name in sys.argv[1:] or makers:
-            path = Path(folder) / f"bomb{Path(name).suffix}"
-            path.write_bytes(makers[name]())
-            size, said = path.stat().st_size, ""
-            forget()
-            began = time.process_time()
-            try:
-                load_mesh(path)
-            except DefplanError as error:
-                said = str(error)
-            told = {"name": name, "size": size, "seconds": time.process_time() - began}
-            print(json.dumps({**told, "peak": peak(), "said": said}), flush=True)
+    tell(bombs(), load_mesh, sys.argv[1:])
 
 
 if __name__ == "__main__":

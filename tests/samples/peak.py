@@ -7,6 +7,7 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from defplan_mj.base.errors import DefplanError
@@ -45,13 +46,12 @@ def read(path: Path) -> None:
             log.gait.table()
 
 
-def main() -> None:
-    """Print a JSON object a bomb."""
-    log = Path(sys.argv[1]).read_bytes()
-    makers = {f"{name}.mcap": make for name, make in hostile.log_bombs(log).items()}
-    makers |= {f"{name}.npz": make for name, make in hostile.archive_bombs().items()}
+def tell(
+    makers: Mapping[str, Callable[[], bytes]], read: Callable[[Path], object], names: Sequence[str]
+) -> None:
+    """Print what reading each bomb that is named (none: each) took, a JSON object a line."""
     with tempfile.TemporaryDirectory() as folder:
-        for name in sys.argv[2:] or makers:
+        for name in names or makers:
             path = Path(folder) / f"bomb{Path(name).suffix}"
             path.write_bytes(makers[name]())
             size, said = path.stat().st_size, ""
@@ -63,6 +63,14 @@ def main() -> None:
                 said = str(error)
             told = {"name": name, "size": size, "seconds": time.process_time() - began}
             print(json.dumps({**told, "peak": peak(), "said": said}), flush=True)
+
+
+def main() -> None:
+    """Print it of logs and archives."""
+    log = Path(sys.argv[1]).read_bytes()
+    makers = {f"{name}.mcap": make for name, make in hostile.log_bombs(log).items()}
+    makers |= {f"{name}.npz": make for name, make in hostile.archive_bombs().items()}
+    tell(makers, read, sys.argv[2:])
 
 
 if __name__ == "__main__":
