@@ -167,10 +167,18 @@ class Surrogate:
         """Return the motions (m, K, ...) of a whole cycle of each task that begins at each phase."""
         if self.decisions_per_cycle == 1:
             return Motions(*(part[None] for part in self.motions(space)))
-        single, past, gait = self.switched_motions(space), self.past, np.arange(self.gaits)
+        kept = np.array([self.past.kept(phase) for phase in range(self.decisions_per_cycle)])
+        return self.kept_motions(space).of((kept, np.arange(self.gaits)))
+
+    def kept_motions(self, space: str) -> Motions:
+        """Return the motions (P, K, ...) of a gait that is kept for as long as a cycle, by the past."""
+        single = self.switched_motions(space)
+        if self.decisions_per_cycle == 1:
+            return single
+        past, gait = self.past, np.arange(self.gaits)
         turns, ways = [], []
-        for phase in range(self.decisions_per_cycle):
-            before, d = past.kept(phase), single.translations.shape[-1]
+        for row in range(past.rest + 1):
+            before, d = np.full(len(gait), row), single.translations.shape[-1]
             way, turn = np.zeros((len(gait), d)), np.tile(np.eye(d), (len(gait), 1, 1))
             for _ in range(self.decisions_per_cycle):
                 way, turn = single.of((before, gait)).after(way, turn)

@@ -26,7 +26,8 @@ class LoopBreaker:
 
     How far two poses are apart is measured in cycles, as by `Outlook`: their distance at full
     advance, and the turn between their headings by what turns cost this robot: nothing for one that
-    walks to every side alike, much for one that turns in its place.
+    walks to every side alike, much for one that turns in its place. A gait leads to where it is after a
+    whole cycle, even if another one may be chosen before.
 
     Args:
         surrogate: f_fit.
@@ -35,13 +36,14 @@ class LoopBreaker:
 
     def __init__(self, surrogate: Surrogate, navigation: Navigation) -> None:
         self.odometry = Odometry(surrogate, navigation)
+        # of m decisions a cycle each is charged, and what it chooses is worth 1 / m of what a cycle's does
+        self.visit = VISIT / surrogate.decisions_per_cycle**2
         self.outlook = Outlook(surrogate.cycle_motions(navigation.space), navigation.goal_radius)
         self.heading = self.outlook.axes_at[:, 0]  # at each phase
-        turns, self.ends = surrogate.switched_motions(navigation.space)
-        self.headings = np.empty_like(self.ends)
-        self.phase = surrogate.past.phase
-        for phase, heading in enumerate(np.roll(self.heading, -1, 0)):
-            self.headings[self.phase == phase] = turns[self.phase == phase] @ heading
+        turns, self.ends = surrogate.kept_motions(navigation.space)
+        self.headings, phases = np.empty_like(self.ends), surrogate.past.phase
+        for phase, heading in enumerate(self.heading):
+            self.headings[phases == phase] = turns[phases == phase] @ heading
         self.reset()
 
     def reset(self) -> None:
@@ -72,10 +74,10 @@ class LoopBreaker:
         self._phases = np.append(self._phases, phase)
         ends, headings = self.ends[past], self.headings[past]
         # a robot in another part of its cycle is not the same, wherever it is
-        same = self._phases == (phase + 1) % len(self.heading)
+        same = self._phases == phase
         away = np.linalg.norm(ends[:, None] - self._places[same], axis=2) / self.outlook.advance
         turned = np.arccos(np.clip(headings @ self._headings[same].T, -1, 1))
         apart = away + self.outlook.per_radian * turned
-        values = values - VISIT * np.exp(-((apart / SAME) ** 2)).sum(1)
+        values = values - self.visit * np.exp(-((apart / SAME) ** 2)).sum(1)
         self.odometry.chose(carried_out(values, observation))
         return values
