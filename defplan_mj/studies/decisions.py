@@ -1,6 +1,6 @@
 """What it brings to choose the gait more than once a cycle: the surrogate's errors, planners in hard scenes.
 
-    python -m defplan_mj.studies.decisions fish-swim --decisions 1 2 4 --planners dql foresight
+    python -m defplan_mj.studies.decisions fish-swim --decisions 1 2 4 --planners NAME ...
 
 prints the tables of docs/planning.md, a row as soon as it is there: of the packaged gaits, all planners in the
 collision check.
@@ -17,10 +17,6 @@ from typing import Any
 import numpy as np
 
 from defplan_mj import registry
-from defplan_mj.base.errors import DefplanError
-from defplan_mj.body.model import Body
-from defplan_mj.dynamics.world import World
-from defplan_mj.gait.gait import Gait
 from defplan_mj.host.evaluation import evaluate
 from defplan_mj.planning.fit import fit_surrogate
 from defplan_mj.planning.outcome import ENDINGS, Outcome
@@ -29,7 +25,8 @@ from defplan_mj.planning.robot import Robot
 from defplan_mj.planning.shield import Shield
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.studies.bound import Setting
-from defplan_mj.task import Navigation, TaskSpec
+from defplan_mj.studies.check import packaged_robot
+from defplan_mj.task import Navigation
 
 
 class Timed:
@@ -58,18 +55,6 @@ class Timed:
         self.seconds += time.process_time() - begun
         self.decisions += 1
         return values
-
-
-def packaged_robot(spec: TaskSpec) -> Robot:
-    """Return a task's packaged robot.
-
-    Raises:
-        DefplanError: nothing is packaged for the task.
-    """
-    if spec.shipped is None:
-        raise DefplanError(f"nothing is packaged for {spec.name}: take a task with packaged gaits")
-    body, gait = Body.load(spec.shipped[0]), Gait.load(spec.shipped[1])
-    return Robot(body, gait, World(body.medium, spec.terrain))
 
 
 def judge_decisions(
@@ -117,7 +102,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="What more decisions in a gait cycle bring.")
     parser.add_argument("task", help="whose packaged gaits are played")
     parser.add_argument("--decisions", type=int, nargs="+", default=[1, 2, 4], help="a cycle")
-    parser.add_argument("--planners", nargs="+", default=["dql", "foresight"])
+    parser.add_argument("--planners", nargs="+", help="(default: the task's)")
     parser.add_argument("--scenes", nargs="+", default=["novel:1", "novel:2", "field-40", "gates"],
                         help="kinds of scenes, with :speed of what moves in m/s")  # fmt: skip
     parser.add_argument("--episodes", type=int, default=60)
@@ -155,7 +140,7 @@ def main() -> None:
     heads = ["planner", "decisions a cycle", "scenes", "success (95%)", "failed", "cycles"]
     _line([*heads, "decision, CPU ms", "training, CPU s"])
     _line(["---"] * 8)
-    for name in options.planners:
+    for name in options.planners or [spec.planner]:
         for m, navigation, surrogate in ready:
             begun = time.process_time()
             planner = (

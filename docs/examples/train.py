@@ -16,6 +16,7 @@ import torch
 from matplotlib.figure import Figure
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 import defplan_mj  # noqa: F401  registers the ids
@@ -93,6 +94,7 @@ def train(decisions: int = DECISIONS) -> list[tuple[int, float]]:
     envs = VecNormalize(ManyFish(), gamma=0.98)
     small = {"n_steps": ROLLOUT, "batch_size": 512, "n_epochs": 8, "gamma": 0.98}
     model = PPO("MlpPolicy", envs, seed=SEED, device="cpu", target_kl=0.03, **small)
+    model.set_logger(Logger(None, []))  # else it makes a folder among the temporary files
     curve = Curve()
     model.learn(decisions, callback=curve)
     envs.close()

@@ -43,7 +43,8 @@ def test_there_is_a_place_for_each_core_or_as_many_as_are_allowed(unlimited):
         threads.limit_processes(0)
 
 
-def test_episodes_on_a_dask_cluster_are_those_of_this_process():
+def test_episodes_on_a_dask_cluster_are_those_of_this_process(tmp_path):
+    import dask.config
     from distributed import Client, LocalCluster
 
     from defplan_mj.host.evaluation import evaluate
@@ -57,8 +58,12 @@ def test_episodes_on_a_dask_cluster_are_those_of_this_process():
     run = functools.partial(evaluate, robot, f_fit, navigation, planner, scenes)
     alone = run(workers=1).episodes
     with (
+        dask.config.set({"temporary-directory": str(tmp_path)}),  # its own stays
         LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+            n_workers=2,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
         parallel.on_cluster(client),

@@ -86,7 +86,7 @@ def setting(tmp_path, monkeypatch, body):
     wave, stubborn = Wave(), Stubborn()
     plugins: dict[str, Any] = {"wave": wave, "rival": Wave("rival"), "lame": Lame("lame")}
     plugins |= {"stubborn": stubborn, "other": stubborn}
-    plugins |= {name: registry.get_solver(name, "feedback") for name in ("none", "ilqg")}
+    plugins |= {name: registry.get_solver(name, "feedback") for name in ("none", "ilqg", "lqr")}
     monkeypatch.setattr(registry, "get_solver", lambda name, kind: plugins[name])
     monkeypatch.setattr(registry, "get_task", lambda name: spec)
     monkeypatch.setattr("defplan_mj.body.build.build_body", lambda *_: body)
