@@ -163,14 +163,16 @@ def validate_gait(gait: Gait, where: str) -> None:
             "task_names", f"must be different names of at most {MOST_LETTERS} letters, one or more"
         )
     if not isinstance(gait.timestep, (int, float)) or not 0.0 < gait.timestep < np.inf:
-        refuse("timestep", f"is {gait.timestep}, it must be positive")
+        refuse("timestep", f"is {gait.timestep!r:.40}, it must be positive")
     if isinstance(steps, bool) or not isinstance(steps, int) or not 1 <= steps <= MOST_STEPS:
-        refuse("steps_per_cycle", f"is {steps}, a whole number from 1 to {MOST_STEPS} is wanted")
+        refuse(
+            "steps_per_cycle", f"is {steps!r:.40}, a whole number from 1 to {MOST_STEPS} is wanted"
+        )
     if gait.integrator not in INTEGRATORS:
-        refuse("integrator", f"is {gait.integrator!r}, it can be {' or '.join(INTEGRATORS)}")
+        refuse("integrator", f"is {gait.integrator!r:.40}, it can be {' or '.join(INTEGRATORS)}")
     substeps = gait.substeps
     if isinstance(substeps, bool) or not isinstance(substeps, int):
-        refuse("substeps", f"is {substeps!r}, a whole number is wanted")
+        refuse("substeps", f"is {substeps!r:.40}, a whole number is wanted")
     if not 1 <= substeps <= MAX_SUBSTEPS:
         refuse("substeps", f"is {substeps}, it must lie between 1 and {MAX_SUBSTEPS}")
     for name in ("alpha", "beta", "mu", "amplitude"):

@@ -113,6 +113,7 @@ class Follower:
         cycles, tracks: (K) one a gait.
         effort: (r,) weights of the controls.
         bound: (r,) of the target shape.
+        task: the gait that is played now.
         step: of the cycle, the next one.
     """
 
@@ -134,7 +135,7 @@ class Follower:
 
     def reset(self) -> None:
         """Forget the frame."""
-        self.step = self._task = 0
+        self.step = self.task = 0
         self._frame: Frame | None = None
 
     def begin(self, task: int, x: np.ndarray, first: int = 0) -> None:
@@ -156,17 +157,12 @@ class Follower:
             error *= min(1.0, self.leash / max(float(np.linalg.norm(error)), 1e-12))
             turned = here.quaternion + tangent.attitude_tangent(here.quaternion) @ (0.5 * error)
             here = Frame(here.position, turned / np.linalg.norm(turned))
-        self._frame, self._task, self.step = here, task, 0
+        self._frame, self.task, self.step = here, task, 0
 
     @property
     def track(self) -> Track:
         """What is followed now."""
-        return self.tracks[self._task]
-
-    @property
-    def task(self) -> int:
-        """The gait that is played now."""
-        return self._task
+        return self.tracks[self.task]
 
     def inside(self, x: np.ndarray) -> np.ndarray:
         """Return the state (nx,) as told from the frame."""
