@@ -125,7 +125,7 @@ def _check_constants(body: Body, where: str) -> None:
                 )
     softening = body.mesh_softening
     if not isinstance(softening, (int, float)) or not 0.0 < softening < np.inf:
-        _refuse(where, "mesh_softening", f"is {softening}, it must be positive")
+        _refuse(where, "mesh_softening", f"is {softening!r:.40}, it must be positive")
     if not -1.0 < body.material.poissons_ratio < 0.5:
         _refuse(where, "material's poissons_ratio", "must lie between -1 and 0.5")
 
