@@ -73,9 +73,9 @@ def read_file(path: Path) -> RawMesh:
     if form not in (*SURFACE_FORMATS, *_MESHIO, *_MUJOCO):
         known = ", ".join((*SURFACE_FORMATS, *_MESHIO, *_MUJOCO))
         raise DefplanError(f"cannot read {path}: a mesh file ends in one of {known}")
-    if path.stat().st_size == 0:
-        raise DefplanError(f"{path} is empty: it has no bytes; export it again")
     size = path.stat().st_size
+    if size == 0:
+        raise DefplanError(f"{path} is empty: it has no bytes; export it again")
     memory = _MEMORY + _GROWTH * min(size, _LARGE) + _MORE_GROWTH * max(size - _LARGE, 0)
     try:
         with bounded(memory, _SECONDS + _SECONDS_PER_BYTE * size):

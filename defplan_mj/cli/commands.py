@@ -348,6 +348,7 @@ def _open(
     fresh = whole and arguments.fresh
     consent = Consent(arguments.remake, console.say, console.asker())
     with (
+        workers(arguments, console),  # before the folder is touched: options may not go together
         open_run(
             *(spec, arguments.logs, arguments.seed, chosen, progress),
             whole=whole,
@@ -355,7 +356,6 @@ def _open(
             consent=consent,
             anew=anew,
         ) as run,
-        workers(arguments, console),
     ):
         yield run
 

@@ -28,10 +28,10 @@ def cluster(
     arguments: argparse.Namespace, console: Console
 ) -> AbstractContextManager[Client] | None:
     """Return what connects to the Dask cluster that is named; None if none is."""
-    from defplan_mj.study.engines import connected
-
     if not _elsewhere(arguments):
         return None
+    from defplan_mj.study.engines import connected
+
     return connected(arguments.scheduler, arguments.scheduler_file, console.say)
 
 

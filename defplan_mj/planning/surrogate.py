@@ -175,17 +175,14 @@ class Surrogate:
         single = self.switched_motions(space)
         if self.decisions_per_cycle == 1:
             return single
-        past, gait = self.past, np.arange(self.gaits)
-        turns, ways = [], []
-        for row in range(past.rest + 1):
-            before, d = np.full(len(gait), row), single.translations.shape[-1]
-            way, turn = np.zeros((len(gait), d)), np.tile(np.eye(d), (len(gait), 1, 1))
-            for _ in range(self.decisions_per_cycle):
-                way, turn = single.of((before, gait)).after(way, turn)
-                before = past.then[before, gait]
-            turns.append(turn)
-            ways.append(way)
-        return Motions(np.array(turns), np.array(ways))
+        past, d = self.past, single.translations.shape[-1]
+        shape = (past.rest + 1, self.gaits)
+        before, gait = (index.ravel() for index in np.indices(shape))
+        way, turn = np.zeros((len(gait), d)), np.tile(np.eye(d), (len(gait), 1, 1))
+        for _ in range(self.decisions_per_cycle):
+            way, turn = single.of((before, gait)).after(way, turn)
+            before = past.then[before, gait]
+        return Motions(turn.reshape(*shape, d, d), way.reshape(*shape, d))
 
     def scatter(self) -> tuple[np.ndarray, np.ndarray]:
         """Return (P, K) the standard deviations of single decisions: of the turn, rad; of the way, m."""

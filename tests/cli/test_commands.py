@@ -275,3 +275,13 @@ def test_plain_progress_tells_the_time_that_is_left(capfd, monkeypatch):
         now[0] = 60.0
         progress("gait (stage 2 of 7): forward", 0.25)
     assert "gait (stage 2 of 7): forward  25%, about 3 min left" in capfd.readouterr().err
+
+
+def test_where_the_episodes_go_is_refused_before_any_work(tmp_path, capsys):
+    logs = tmp_path / "logs"
+    command = ["evaluate", "fish-swim", "--logs", str(logs)]
+    assert cli.main([*command, "--jobs", "2", "--scheduler", "tcp://nowhere:1"]) == 1
+    assert "--jobs is for this machine" in capsys.readouterr().err
+    assert cli.main([*command, "--scheduler-file", str(tmp_path / "none.json")]) == 1
+    assert "none.json does not exist" in capsys.readouterr().err
+    assert not logs.exists()
