@@ -16,9 +16,9 @@ from defplan_mj.body.cubature import drag_points
 from defplan_mj.body.elasticity import linear_modes
 from defplan_mj.body.loading import Filled, fill_file
 from defplan_mj.body.model import LIMITS, Body
-from defplan_mj.body.options import BodyOptions
+from defplan_mj.body.options import SHAPES, BodyOptions
 from defplan_mj.body.orientation import direction
-from defplan_mj.body.reduction import reduce_shapes
+from defplan_mj.body.reduction import exact_shapes, reach, reduce_shapes
 from defplan_mj.body.rotation_strain import RotationStrain, feature_map
 from defplan_mj.body.tetmesh import TetMesh, boundary, lumped_mass, quality
 
@@ -52,6 +52,8 @@ def check_options(options: BodyOptions) -> None:
         value = getattr(options, name)
         if not least <= value <= most:
             raise DefplanError(f"{name} is {value}: it must lie between {least} and {most}")
+    if options.shapes not in SHAPES:
+        raise DefplanError(f"shapes is '{options.shapes}': it can be {' or '.join(SHAPES)}")
     material = options.material
     for axis in (options.up, options.forward):
         if axis is not None:
@@ -164,9 +166,16 @@ def _build(path: Path, options: BodyOptions, progress: Progress, name: str, fill
     modes = modes / scales
     amplitude = np.full(options.modes, float(options.amplitude))
 
-    progress("reducing the rotation-strain map", 0.35)
-    exact = RotationStrain(mesh, mass, modes)
-    reduction = reduce_shapes(exact, mass, amplitude, options.basis, options.samples)
+    exact = exact_shapes(RotationStrain(mesh, mass, modes), options.material, options.shapes)
+    progress(f"reducing the {options.shapes} shapes", 0.35)
+    reduction = reduce_shapes(
+        exact,
+        mass,
+        reach(amplitude, options.material, options.shapes),
+        options.basis,
+        options.samples,
+        lambda what, done: progress(what, 0.35 + 0.2 * done),
+    )
     shapes = np.concatenate([mesh.vertices[:, :, None], reduction.basis], axis=2)
     faces, _ = boundary(mesh.tetrahedra)
     body = Body(
@@ -183,7 +192,7 @@ def _build(path: Path, options: BodyOptions, progress: Progress, name: str, fill
         amplitude=amplitude,
         basis=reduction.basis,
         sampled=reduction.sampled,
-        feature_map=exact.features[reduction.sampled],
+        feature_map=reduction.feature_map,
         feature_weights=reduction.feature_weights,
         moments=np.einsum("v,via,vjb->abij", mass, shapes, shapes, optimize=True),
         drag_points=np.zeros((0, 3, options.basis + 1)),

@@ -1,4 +1,4 @@
-"""How good a body's reduction is: against the exact rotation-strain map, and the full FEM."""
+"""How good a body's reduction is: against the exact shapes, and the full FEM."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy as np
 from defplan_mj.base import rotations
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.model import Body
-from defplan_mj.body.reduction import sample_shapes
-from defplan_mj.body.rotation_strain import RotationStrain, shape_coordinates
-from defplan_mj.body.tetmesh import TetMesh, volumes
+from defplan_mj.body.reduction import exact_shapes_of, reach, sample_shapes, shapes_of
+from defplan_mj.body.rotation_strain import shape_coordinates
+from defplan_mj.body.tetmesh import volumes
 
 _TIMESTEP, _DURATION = 0.02, 0.2  # of the released shape, s
 _SUBSTEPS = 4  # twice as many change the figures by 3% of themselves
@@ -38,9 +38,9 @@ def reconstruction_error(body: Body, samples: int = 200, seed: int = 0) -> dict[
         rms_displacement_m: of the shapes, m.
         volume_ratio_min, volume_ratio_max: exact shape's volume over the rest volume.
     """
-    mesh = TetMesh(body.vertices, body.tetrahedra)
-    exact = RotationStrain(mesh, body.vertex_mass, body.modes)
-    q = sample_shapes(samples, body.amplitude, np.random.default_rng(seed))
+    exact = exact_shapes_of(body)
+    most = reach(body.amplitude, body.material, shapes_of(body))
+    q = sample_shapes(samples, most, np.random.default_rng(seed))
     true = exact.displacement(q)
     mass = body.vertex_mass[:, None]
     best = np.einsum("n,nik,mni->mk", body.vertex_mass, body.basis, true, optimize=True)

@@ -7,6 +7,8 @@ from typing import Any
 
 from defplan_mj.body.model import Material, Medium
 
+SHAPES = ("rotation-strain", "elastic")
+"""How a shape is reconstructed: see `RotationStrain` and `ElasticShapes`."""
 AXES = ("x", "-x", "y", "-y", "z", "-z")
 """Of a mesh file."""
 
@@ -31,6 +33,8 @@ class BodyOptions:
             the lattice's mesh is taken as it comes).
         amplitude: largest |q_i| the reduction is sampled at and gaits may ask for.
         material, medium: see their classes.
+        shapes: what the reduction comes near to: 'rotation-strain' (the paper's) or 'elastic', the shapes
+            where the full FEM rests, which take longer to build.
     """
 
     vertices: int = 2000
@@ -47,13 +51,20 @@ class BodyOptions:
     forward: str | None = None
     strict: bool = False
     shape_error: float | None = None
+    shapes: str = SHAPES[0]
 
     def stated(self) -> dict[str, Any]:
         """Return the options as data; the later ones only where they differ from their defaults.
 
         A body's hash is of its options, too: those of before keep theirs.
         """
-        later = {"up": None, "forward": None, "strict": False, "shape_error": None}
+        later = {
+            "up": None,
+            "forward": None,
+            "strict": False,
+            "shape_error": None,
+            "shapes": SHAPES[0],
+        }
         return {
             name: value
             for name, value in asdict(self).items()

@@ -1,7 +1,8 @@
 """The second reduction: a small displacement basis, and its coordinates from a few tetrahedra.
 
 u(q) = B z(q), z(q) = C vec(F_S(q) - I): B by proper orthogonal decomposition of sampled shapes,
-the tetrahedra S by block orthogonal matching pursuit, C by ridge least squares.
+the tetrahedra S by block orthogonal matching pursuit, C by ridge least squares. Shapes of least elastic energy
+are no sums of the features of tetrahedra, which are then moved (`features`).
 """
 
 from __future__ import annotations
@@ -10,8 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from defplan_mj.base.progress import Progress, no_progress
+from defplan_mj.body.elastic_shapes import ElasticShapes
+from defplan_mj.body.features import fitted_features
+from defplan_mj.body.model import Body, Material
+from defplan_mj.body.options import SHAPES
 from defplan_mj.body.rotation_strain import RotationStrain, deformation
+from defplan_mj.body.tetmesh import TetMesh
 
+ExactShapes = RotationStrain | ElasticShapes
+"""What the reduction comes near to."""
+_SHAPES = 800  # sampled
+_FITTED = (200, 100)  # shapes whose features are fitted: at least, and for each mode
+_ROUNDS = 200  # of the features' fit
 _CANDIDATES = 400  # tetrahedra that the pursuit chooses from
 
 
@@ -21,7 +33,36 @@ class Reduction:
 
     basis: np.ndarray
     sampled: np.ndarray
+    feature_map: np.ndarray
     feature_weights: np.ndarray
+
+
+def exact_shapes(nearest: RotationStrain, material: Material, kind: str) -> ExactShapes:
+    """Return the exact map of a kind of `BodyOptions.shapes`."""
+    return nearest if kind == SHAPES[0] else ElasticShapes(nearest, material)
+
+
+def exact_shapes_of(body: Body) -> ExactShapes:
+    """Return the exact map that a body is the reduction of."""
+    mesh = TetMesh(body.vertices, body.tetrahedra)
+    nearest = RotationStrain(mesh, body.vertex_mass, body.modes)
+    return exact_shapes(nearest, body.mesh_material, shapes_of(body))
+
+
+def shapes_of(body: Body) -> str:
+    """Return the kind of shapes (`BodyOptions.shapes`) that a body has."""
+    return str(body.source.get("options", {}).get("shapes", SHAPES[0]))
+
+
+def reach(amplitude: np.ndarray, material: Material, kind: str) -> np.ndarray:
+    """Return the largest |q| (r,) that a reduction is sampled up to.
+
+    Elastic shapes: where a body rests under the largest target; rotation-strain shapes: the target itself.
+    """
+    control = material.control_stiffness
+    if kind == SHAPES[0] or control == 0.0:
+        return amplitude
+    return amplitude * control / (1.0 + control)
 
 
 def sample_shapes(count: int, amplitude: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -87,18 +128,20 @@ def fit_weights(features: np.ndarray, targets: np.ndarray, ridge: float = 1e-9) 
 
 
 def reduce_shapes(
-    exact: RotationStrain,
+    exact: ExactShapes,
     mass: np.ndarray,
-    amplitude: np.ndarray,
+    reach: np.ndarray,
     basis: int,
     samples: int,
-    shapes: int = 800,
+    progress: Progress = no_progress,
     seed: int = 0,
 ) -> Reduction:
-    """Build the second reduction from `shapes` sampled shapes up to `amplitude` (r,)."""
+    """Build the second reduction from sampled shapes up to `reach` (r,)."""
     rng = np.random.default_rng(seed)
-    q = sample_shapes(shapes, amplitude, rng)
-    displaced = exact.displacement(q)
+    fitted = isinstance(exact, ElasticShapes)
+    count = _FITTED[0] + _FITTED[1] * len(reach) if fitted else _SHAPES
+    q = sample_shapes(count, reach, rng)
+    displaced = exact.displacement(q, progress)
     vectors, z = pod_basis(displaced, mass, basis)
     candidates = np.sort(
         rng.choice(
@@ -108,8 +151,12 @@ def reduce_shapes(
             p=exact.volumes / exact.volumes.sum(),
         )
     )
-    values = deformation(exact.features[candidates], q).reshape(shapes, len(candidates), 9)
+    values = deformation(exact.features[candidates], q).reshape(count, len(candidates), 9)
     chosen = choose_tetrahedra(values.transpose(1, 0, 2), z, samples)
     sampled = candidates[np.sort(chosen)]
-    fitted = deformation(exact.features[sampled], q).reshape(shapes, -1)
-    return Reduction(vectors, sampled, fit_weights(fitted, z))
+    maps = exact.features[sampled]
+    if fitted:
+        maps, weights = fitted_features(maps, q, z, _ROUNDS)
+    else:
+        weights = fit_weights(deformation(maps, q).reshape(count, -1), z)
+    return Reduction(vectors, sampled, maps, weights)

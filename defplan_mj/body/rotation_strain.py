@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 
+from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.elasticity import SYMMETRIC
 from defplan_mj.body.model import Body
 from defplan_mj.body.tetmesh import TetMesh, shape_gradients, volumes
@@ -98,6 +99,7 @@ class RotationStrain:
         self.mesh = mesh
         self.features = feature_map(mesh, modes)
         self.volumes = volumes(mesh.vertices, mesh.tetrahedra)
+        self.mass = mass
         self._mean = mass / mass.sum()
         g = shape_gradients(mesh.vertices, mesh.tetrahedra)
         tets, n = len(mesh.tetrahedra), len(mesh.vertices)
@@ -109,8 +111,8 @@ class RotationStrain:
         # pinning one vertex removes the constant; the centre of mass is set afterwards
         self._factor = sla.splu(laplacian[1:, 1:].tocsc(), **SYMMETRIC)
 
-    def displacement(self, q: np.ndarray) -> np.ndarray:
-        """Return u (m, n, 3), m, of shapes q (m, r)."""
+    def displacement(self, q: np.ndarray, progress: Progress = no_progress) -> np.ndarray:
+        """Return u (m, n, 3), m, of shapes q (m, r); `progress` is for what takes longer."""
         return np.concatenate(list(self.displacements(np.atleast_2d(q))))
 
     def displacements(self, q: np.ndarray) -> Iterator[np.ndarray]:

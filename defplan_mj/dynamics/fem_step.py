@@ -17,11 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.body.model import Body
-from defplan_mj.body.sparse_cholesky import CholeskyFactor, SparseCholesky
-from defplan_mj.body.tetmesh import boundary, shape_gradients, volumes
-from defplan_mj.dynamics.corotational import (
-    PAIRS,
+from defplan_mj.body.corotational import (
     Polar,
     density,
     isotropic,
@@ -29,80 +25,14 @@ from defplan_mj.dynamics.corotational import (
     second_derivative,
     stress,
 )
+from defplan_mj.body.elements import Elements
+from defplan_mj.body.model import Medium
+from defplan_mj.body.sparse_cholesky import CholeskyFactor
 from defplan_mj.dynamics.fem_contact import FemContact, HeldContact
 
 _SPEED_SQUARED = 1e-4  # m^2/s^2: rounds the tangential drag at rest, as in the reduced step
-_FACE_PAIRS = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
 _KEPT = 0.1  # of the last step's size: how small the next must be for the factor to be kept
 _NOISE = 1e-11  # of the energy, which a line search does not mind
-
-
-class Elements:
-    """What stays the same in every step: the mesh, its gradients, and where blocks go in the matrix."""
-
-    def __init__(self, body: Body, mu: float, lam: float) -> None:
-        self.body, self.mu, self.lam = body, mu, lam
-        # corners in ascending order, so that block (a, b), a > b, is below the diagonal
-        self.cells = np.sort(body.tetrahedra, axis=1)
-        self.volumes = volumes(body.vertices, body.tetrahedra)
-        self.gradients = np.ascontiguousarray(
-            shape_gradients(body.vertices, self.cells).transpose(1, 2, 0)
-        )
-        self.faces, _ = boundary(body.tetrahedra)
-        n = len(body.vertices)
-        faces = np.sort(self.faces, axis=1)
-        pairs = [(self.cells[:, a], self.cells[:, b]) for a, b in PAIRS]
-        pairs += [(faces[:, a], faces[:, b]) for a, b in _FACE_PAIRS]
-        keys = np.concatenate([row * n + column for row, column in pairs])
-        keys, place = np.unique(keys, return_inverse=True)
-        self.rows, self.columns = np.divmod(keys, n)
-        self.diagonal = np.flatnonzero(self.rows == self.columns)
-        inner = len(PAIRS) * len(self.cells)
-        self._sum_cells = _summing(place[:inner], len(keys))
-        self._sum_faces = _summing(place[inner:], len(keys))
-        self._scatter_cells = _summing(self.cells.T.ravel(), n)
-        self._scatter_faces = _summing(self.faces.T.ravel(), n)
-        self.order = SparseCholesky(n, self.rows, self.columns)
-
-    def deformation(self, x: np.ndarray) -> np.ndarray:
-        """Return the deformation gradients F (3, 3, t) at vertices x (n, 3)."""
-        corners = np.ascontiguousarray(x.T)[:, self.cells.T]
-        return np.einsum("iat,ajt->ijt", corners, self.gradients)
-
-    def forces(self, first: np.ndarray) -> np.ndarray:
-        """Return the gradient (n, 3) by the vertices from V dpsi/dF (3, 3, t)."""
-        corners = np.einsum("ijt,ajt->iat", first, self.gradients)
-        return np.stack([self._scatter_cells @ part.ravel() for part in corners], axis=1)
-
-    def face_forces(self, force: np.ndarray) -> np.ndarray:
-        """Return (n, 3): each triangle's vector (3, f) given to each of its corners."""
-        return np.stack([self._scatter_faces @ np.tile(part, 3) for part in force], axis=1)
-
-    def blocks(self, inner: np.ndarray, surface: np.ndarray | None) -> np.ndarray:
-        """Assemble the blocks (b, 3, 3) of the matrix, below and on its diagonal.
-
-        Args:
-            inner: (3, 3, 10, t) of the tetrahedra.
-            surface: (3, 3, f) of each pair of corners of each triangle.
-        """
-        out = np.empty((len(self.rows), 3, 3))
-        for i in range(3):
-            for j in range(3):
-                out[:, i, j] = self._sum_cells @ inner[i, j].ravel()
-                if surface is not None:
-                    out[:, i, j] += self._sum_faces @ np.tile(surface[i, j], len(_FACE_PAIRS))
-        return out
-
-    def triangles(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the centres (3, f) and area vectors (3, f) of the surface triangles."""
-        a, b, c = (x[self.faces[:, i]] for i in range(3))
-        return ((a + b + c) / 3.0).T, 0.5 * np.cross(b - a, c - a).T
-
-
-def _summing(place: np.ndarray, size: int) -> sp.csr_matrix:
-    """Return the matrix (size, m) that adds entry i to `place[i]`."""
-    count = len(place)
-    return sp.csr_matrix((np.ones(count), (place, np.arange(count))), (size, count))
 
 
 class Drag:
@@ -114,13 +44,14 @@ class Drag:
     def __init__(
         self,
         elements: Elements,
+        medium: Medium,
         centres: np.ndarray,
         areas: np.ndarray,
         time: float,
         factor: float = 1.0,
     ) -> None:
         """Prepare the coefficients; v = (centre(x) - centres) / time, m/s; centres, areas (3, f)."""
-        medium, size = elements.body.medium, np.linalg.norm(areas, axis=0)
+        size = np.linalg.norm(areas, axis=0)
         self._elements, self._centres, self._areas, self._time = elements, centres, areas, time
         self._normal = 0.5 * factor * medium.density * medium.drag_normal / size**2
         self._tangent = 0.5 * factor * medium.density * medium.drag_tangential * size

@@ -34,13 +34,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.body.corotational import density, isotropic, polar, stress
 from defplan_mj.body.elasticity import lame
+from defplan_mj.body.elements import Elements
 from defplan_mj.body.model import Body
-from defplan_mj.body.rotation_strain import RotationStrain, strain_matrices
-from defplan_mj.body.tetmesh import TetMesh
-from defplan_mj.dynamics.corotational import density, isotropic, polar, stress
+from defplan_mj.body.reduction import exact_shapes_of
+from defplan_mj.body.rotation_strain import strain_matrices
 from defplan_mj.dynamics.fem_contact import FemContact
-from defplan_mj.dynamics.fem_step import Drag, Elements, Step, Touch, Viscosity, minimise
+from defplan_mj.dynamics.fem_step import Drag, Step, Touch, Viscosity, minimise
 from defplan_mj.dynamics.terrain import Terrain
 
 _Problem = tuple[Step, np.ndarray, Callable[[np.ndarray], np.ndarray]]
@@ -122,10 +123,8 @@ class FullFem:
         self.integrator, self.substeps, self.h = integrator, substeps, timestep / substeps
         self.contact = None if terrain is None else FemContact(terrain, body)
         self.tolerance, self.max_newton = tolerance, max_newton
-        self.shapes = RotationStrain(
-            TetMesh(body.vertices, body.tetrahedra), body.vertex_mass, body.modes
-        )
-        self.elements = Elements(body, *lame(body.mesh_material))
+        self.shapes = exact_shapes_of(body)
+        self.elements = Elements(self.shapes.mesh, *lame(body.mesh_material))
         self._lift = np.zeros_like(body.vertices)  # N
         if drag or terrain is not None:
             # weights with sum_v w_v X_v = z: they read the body's z axis off its vertices
@@ -241,7 +240,7 @@ class FullFem:
         if self.drag:
             centre, _ = fem.triangles(_origin(_VELOCITY, now, before, earlier))
             _, area = fem.triangles(now)
-            drag = Drag(fem, centre, area, 0.5 * h / _VELOCITY[0], 2.0)
+            drag = Drag(fem, self.body.medium, centre, area, 0.5 * h / _VELOCITY[0], 2.0)
         step = Step(
             fem,
             inertia=4.0 * self.body.vertex_mass / h**2,
@@ -271,7 +270,7 @@ class FullFem:
             linear=-self._lift,
             weight=weight + damping,
             centre=mean,
-            drag=Drag(fem, *fem.triangles(now), h) if self.drag else None,
+            drag=Drag(fem, self.body.medium, *fem.triangles(now), h) if self.drag else None,
         )
         x = guess + now - 2.0 * before + state.earlier
         return step, x, lambda p2: p2

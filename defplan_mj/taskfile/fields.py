@@ -15,7 +15,7 @@ from typing import Any
 from defplan_mj.base.places import PLACES
 from defplan_mj.base.space import SPACES
 from defplan_mj.body.model import LIMITS, Material, Medium
-from defplan_mj.body.options import AXES, BodyOptions
+from defplan_mj.body.options import AXES, SHAPES, BodyOptions
 from defplan_mj.dynamics.terrain import TYPES, Heightfield, Terrain, TerrainGeom
 from defplan_mj.gait.gait import MOST_STEPS
 from defplan_mj.gait.style import STYLES
@@ -138,6 +138,7 @@ BOUNDS: dict[type, dict[str, Bound]] = {
         "amplitude": _POSITIVE,
         "up": _one_of(*AXES),
         "forward": _one_of(*AXES),
+        "shapes": _one_of(*SHAPES),
     },
     Material: {
         "density": _POSITIVE,

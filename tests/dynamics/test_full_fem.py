@@ -11,10 +11,10 @@ from scipy.linalg import polar as scipy_polar
 from scipy.optimize import brentq
 
 from defplan_mj.base.errors import DefplanError
+from defplan_mj.body.corotational import polar
 from defplan_mj.body.model import Material, Medium
 from defplan_mj.body.rotation_strain import exponential
 from defplan_mj.body.sparse_cholesky import SparseCholesky
-from defplan_mj.dynamics.corotational import polar
 from defplan_mj.dynamics.fem_contact import FemContact
 from defplan_mj.dynamics.fem_step import Touch
 from defplan_mj.dynamics.full_fem import FullFem
