@@ -44,7 +44,7 @@ SANITIZED := tests/kernel/test_step.py tests/kernel/test_contact.py tests/kernel
 	tests/kernel/test_distance.py tests/kernel/test_honest.py tests/kernel/test_tumbling.py \
 	tests/dynamics/test_reduced.py tests/host/test_plugin.py \
 	tests/host/test_contact.py tests/host/test_ground.py tests/host/test_obstacles.py \
-	tests/host/test_skin.py tests/host/test_turns.py
+	tests/host/test_skin.py tests/host/test_turns.py tests/solvers/test_astar.py
 SANITIZED_FAST := tests/kernel/test_distance.py tests/host/test_plugin.py
 
 sanitize: CHOSEN := $(SANITIZED)

@@ -261,6 +261,11 @@ def _body(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--vertices", type=_count, metavar="N", help="of the tetrahedral mesh")
     sub.add_argument("--modes", type=_count, metavar="R", help="modal coordinates")
     sub.add_argument(
+        "--shapes",
+        choices=("rotation-strain", "elastic"),
+        help="what the reduction comes near to; elastic: where the full FEM rests, minutes to build",
+    )
+    sub.add_argument(
         "--length",
         type=_positive,
         metavar="M",

@@ -105,3 +105,24 @@ def test_the_readme_s_moving_pictures_are_small():
     assert [path.stem for path in pictures] == sorted(ROBOTS)
     assert all(path.stat().st_size < 1_000_000 for path in pictures)
     assert all(f"docs/images/{path.name}" in README for path in pictures)
+
+
+@pytest.mark.parametrize(
+    ("start", "name"),
+    [
+        ("fish", "fish-swim"),
+        ("4-legged swimmer", "quadruped-swim"),
+        ("4-legged walker, in air", "quadruped-walk"),
+        ("T, in air", "tee-walk"),
+    ],
+)
+def test_the_drag_points_of_the_packaged_bodies_have_the_errors_that_the_page_says(start, name):
+    page = (ROOT / "docs" / "body.md").read_text()
+    table = page[page.index("| body | points of triangles") :]
+    points, force, mean, areas, mirrors = row(table, start)
+    drag = check.packaged_robot(get_task(name)).body.source["drag"]
+    assert numbers(points) == [drag["points"], drag["triangles"]]
+    for told, key in ((force, "error"), (mean, "mean_error"), (areas, "area_error")):
+        digits = len(told.rstrip("%").partition(".")[2])
+        assert numbers(told) == [round(100 * drag[key], digits)]
+    assert mirrors.split(", ") == list(drag["mirrors"])
