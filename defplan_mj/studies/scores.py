@@ -1,0 +1,248 @@
+"""Scores on the suite, of policies that know nothing, of the packaged gaits and of end-to-end learning.
+
+    python -m defplan_mj.studies.scores [FOLDER] [--tasks ...] [--policies ...] [--decisions N]
+
+writes scores.csv (a row a task and policy) and curves.csv (reward over decisions, while PPO and SAC learn) into
+FOLDER, and prints the table of docs/suite.md. A score is the mean reward of a step, in [0, 1], over whole episodes
+of 40 s that no learning has seen.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from defplan_mj import registry
+from defplan_mj.base import files
+from defplan_mj.planning.fit import fit_surrogate
+from defplan_mj.planning.robot import Robot
+from defplan_mj.studies.check import packaged_robot
+
+TASKS = {
+    "FishSwim": "fish-swim",
+    "QuadrupedSwim": "quadruped-swim",
+    "QuadrupedWalk": "quadruped-walk",
+    "TeeWalk": "tee-walk",
+}
+"""Of the suite, and the task whose gaits are packaged."""
+POLICIES = ("rest", "random", "gaits", "ppo", "sac")
+ROBOTS, EPISODE_S, EPISODE_SEED, SEED = 32, 40.0, 10_000, 0
+_LEARNING_ROBOTS, _SECONDS, _REPEAT = (
+    32,
+    10.0,
+    4,
+)  # while it learns: at once, s of an episode, steps a decision
+_DECISIONS = {"ppo": 262_144, "sac": 65_536}
+_AHEAD = 4  # cycles that the gaits' choice looks ahead
+_PAIRS = 100  # of cycles, for each gait
+_GAMMA = 0.98
+
+Act = Callable[[np.ndarray, int], np.ndarray]
+"""From observations (n, size) and the step's number to actions (n, r)."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a policy gets on a task.
+
+    Attributes:
+        mean: reward of a step over all episodes, in [0, 1].
+        half: of the 95% interval of the mean over the episodes.
+        decisions, steps: of all robots, in learning.
+        seconds: CPU time of learning.
+        curve: (decisions, mean reward of a step) while it learned.
+    """
+
+    task: str
+    policy: str
+    mean: float
+    half: float
+    decisions: int = 0
+    steps: int = 0
+    seconds: float = 0.0
+    curve: list[tuple[int, float]] = field(default_factory=list)
+
+
+def episodes(task: str, act: Act, robots: int = ROBOTS) -> np.ndarray:
+    """Return the mean reward of a step of each of `robots` episodes; one that fails gets nothing from there on."""
+    import gymnasium
+
+    envs = gymnasium.make_vec(f"defplan/{task}-v0", robots, task_kwargs={"time_limit": EPISODE_S})
+    observations, _ = envs.reset(seed=EPISODE_SEED)
+    total, alive, count = np.zeros(robots), np.ones(robots, bool), 0
+    while True:
+        observations, rewards, lost, late, _ = envs.step(act(observations, count))
+        count += 1
+        total += np.where(alive, rewards, 0.0)
+        alive &= ~lost
+        if late.any() or not alive.any():
+            break
+    envs.close()
+    return total / count
+
+
+def score(task: str, policy: str, decisions: int | None = None, robots: int = ROBOTS) -> Score:
+    """Learn if need be, and play.
+
+    Args:
+        task: of `TASKS`.
+        policy: of `POLICIES`.
+        decisions: of all robots in learning; if not given, what docs/suite.md has.
+    """
+    learned: dict[str, Any] = {}
+    if policy in _DECISIONS:
+        begun = time.process_time()
+        count = decisions or _DECISIONS[policy]
+        act, curve = _learned(task, policy, count)
+        learned = {
+            "decisions": count,
+            "steps": count * _REPEAT,
+            "seconds": time.process_time() - begun,
+            "curve": curve,
+        }
+    elif policy == "gaits":
+        act = _steered(packaged_robot(registry.get_task(TASKS[task])), robots)
+    else:
+        act = _unknowing(policy, task)
+    rewards = episodes(task, act, robots)
+    half = 1.96 * float(rewards.std(ddof=1)) / np.sqrt(len(rewards))
+    return Score(task, policy, float(rewards.mean()), float(half), **learned)
+
+
+def _unknowing(policy: str, task: str) -> Act:
+    rng = np.random.default_rng(SEED)
+    modes = packaged_robot(registry.get_task(TASKS[task])).body.n_modes
+
+    def act(observations: np.ndarray, step: int) -> np.ndarray:
+        shape = (len(observations), modes)
+        return np.zeros(shape) if policy == "rest" else rng.uniform(-1.0, 1.0, shape)
+
+    return act
+
+
+def _steered(robot: Robot, robots: int) -> Act:
+    """Play the packaged gaits: at each cycle the first of those few that lead nearest to the target."""
+    gait, amplitude = robot.gait, robot.body.amplitude
+    surrogate = fit_surrogate(robot.dynamics, gait, pairs=_PAIRS, seed=SEED)
+    turns, moves = surrogate.rotations, surrogate.translations
+    plans = np.array(list(itertools.product(range(len(moves)), repeat=_AHEAD)))
+    spin, place = np.tile(np.eye(3), (len(plans), 1, 1)), np.zeros((len(plans), 3))
+    ways = []
+    for cycle in plans.T:
+        place = place + np.einsum("pij,pj->pi", spin, moves[cycle])
+        spin = spin @ turns[cycle]
+        ways.append(place)
+    way = np.array(ways)  # (ahead, plans, 3), in the body's frame at the start
+    table, chosen = gait.table() / amplitude, np.zeros(robots, int)
+
+    def act(observations: np.ndarray, step: int) -> np.ndarray:
+        phase = step % gait.steps_per_cycle
+        if phase == 0:
+            target = observations[:, -robot.body.n_modes - 9 :][:, :3]
+            distance = np.linalg.norm(way[:, :, None] - target, axis=-1)
+            # how near it comes in the end, and on the way there
+            chosen[:] = plans[(distance[-1] + 1e-2 * distance.sum(0)).argmin(0), 0]
+        return table[chosen, phase]
+
+    return act
+
+
+def _learned(task: str, policy: str, decisions: int) -> tuple[Act, list[tuple[int, float]]]:
+    import torch
+    from stable_baselines3 import PPO, SAC
+    from stable_baselines3.common.logger import Logger
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    from defplan_mj.rl.stable_baselines import Curve, ManyRobots
+
+    torch.set_num_threads(1)
+    robots = ManyRobots(f"defplan/{task}-v0", _LEARNING_ROBOTS, SEED, _REPEAT, time_limit=_SECONDS)
+    envs = VecNormalize(robots, gamma=_GAMMA)
+    common: dict[str, Any] = {"seed": SEED, "device": "cpu", "gamma": _GAMMA}
+    if policy == "ppo":
+        model: Any = PPO(
+            "MlpPolicy", envs, n_steps=128, batch_size=512, n_epochs=8, target_kl=0.03, **common
+        )
+    else:
+        # few updates: with as many as decisions it would take hours
+        model = SAC("MlpPolicy", envs, train_freq=1, gradient_steps=2, batch_size=256, **common)
+    model.set_logger(Logger(None, []))  # else it makes a folder among the temporary files
+    curve = Curve(4096)
+    model.learn(decisions, callback=curve)
+    envs.training = False
+    last = np.zeros((0, 0))
+
+    def act(observations: np.ndarray, step: int) -> np.ndarray:
+        nonlocal last
+        if step % _REPEAT == 0:
+            normal = envs.normalize_obs(observations)
+            last = np.clip(model.predict(normal, deterministic=True)[0], -1.0, 1.0)
+        return last
+
+    return act, curve.rows
+
+
+def table(scores: Sequence[Score]) -> str:
+    """Return the scores as a table in Markdown, a row a task."""
+    policies = [p for p in POLICIES if any(s.policy == p for s in scores)]
+    lines = [f"| task | {' | '.join(policies)} |", "| --- |" + " --- |" * len(policies)]
+    for task in dict.fromkeys(s.task for s in scores):
+        by = {s.policy: s for s in scores if s.task == task}
+        cells = [f"{by[p].mean:.3f} ± {by[p].half:.3f}" if p in by else "–" for p in policies]
+        lines.append(f"| `{task}` | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def write(folder: Path, scores: Sequence[Score]) -> None:
+    """Write scores.csv and curves.csv."""
+    head = ["task", "policy", "reward", "half_interval", "decisions", "steps", "cpu_s"]
+    rows: list[list[Any]] = [
+        [s.task, s.policy, f"{s.mean:.4f}", f"{s.half:.4f}", s.decisions, s.steps, round(s.seconds)]
+        for s in scores
+    ]
+    _write_csv(folder / "scores.csv", head, rows)
+    curves = [[s.task, s.policy, n, f"{r:.4f}"] for s in scores for n, r in s.curve]
+    _write_csv(folder / "curves.csv", ["task", "policy", "decisions", "reward"], curves)
+
+
+def _write_csv(path: Path, head: list[str], rows: list[list[Any]]) -> None:
+    stream = io.StringIO()
+    out = csv.writer(stream, lineterminator="\n")
+    out.writerow(head)
+    out.writerows(rows)
+    files.write_text(path, stream.getvalue())
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Score what is asked for."""
+    parser = argparse.ArgumentParser(
+        prog="python -m defplan_mj.studies.scores", description=__doc__
+    )
+    parser.add_argument("folder", nargs="?", type=Path, default=Path())
+    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
+    parser.add_argument("--policies", nargs="+", choices=POLICIES, default=list(POLICIES))
+    parser.add_argument("--decisions", type=int, help="of all robots in learning")
+    options = parser.parse_args(arguments)
+    scores = []
+    for task in options.tasks:
+        for policy in options.policies:
+            scores.append(score(task, policy, options.decisions))
+            print(
+                f"{task} {policy}: {scores[-1].mean:.3f}, {scores[-1].seconds:.0f} CPU s",
+                flush=True,
+            )
+            write(options.folder, scores)
+    print(table(scores))
+
+
+if __name__ == "__main__":
+    main()
