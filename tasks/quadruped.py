@@ -43,6 +43,7 @@ SWIM = TaskSpec(
         modes=10,
         basis=60,
         samples=24,
+        shapes="elastic",
         amplitude=1.5,
         length=1.0,
         medium=Medium(righting_height=0.0),
