@@ -60,8 +60,9 @@ def test_a_seed_gives_one_gait_to_the_bit(problem: GaitProblem, gait: Gait) -> N
         np.testing.assert_array_equal(getattr(again, name), getattr(gait, name))
 
 
+# Minutes a seed: more of them are a study's (docs/gaits.md).
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(2))
 def test_every_seed_gives_the_fish_good_gaits(seed: int) -> None:
     body = Body.load(ASSETS / "fish_body.npz")
     problem = GaitProblem.of(SWIM, ReducedDynamics(body, SWIM.timestep))
@@ -73,7 +74,7 @@ def test_every_seed_gives_the_fish_good_gaits(seed: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_every_seed_gives_the_swimmer_turns_on_the_spot_and_a_stroke_ahead(seed: int) -> None:
     task = quadruped.SWIM
     body = built(task.mesh, task.body, task.name)
