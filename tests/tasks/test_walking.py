@@ -282,8 +282,8 @@ def check_footing(found: dict[str, float], slip: float) -> None:
     assert found["belly_load"] == 0.0
 
 
-# Minutes a seed: more of them are a study's. The T's seeds 2 and 4 slide too much or fall (docs/gaits.md): nothing is
-# claimed of them.
+# Minutes a seed: more of them are a study's. The T's seeds 2 and 4 slide too much or fall (docs/gaits.md): nothing
+# is claimed of them.
 STEADY_SEEDS = {"quadruped": (0, 1), "tee": (0, 3)}
 
 
