@@ -147,8 +147,7 @@ def _surface(path: Path, form: str) -> RawMesh:
     if isinstance(mesh, trimesh.Scene):
         others = [g for g in mesh.geometry.values() if not isinstance(g, trimesh.Trimesh)]
         if others and len(others) == len(mesh.geometry):
-            points = [np.asarray(getattr(g, "vertices", np.zeros((0, 3)))) for g in others]
-            return RawMesh(np.concatenate(points)[:, :3])
+            return RawMesh(np.concatenate([_vertices(g, path) for g in others]))
         if others:
             notes.append(f"{len(others)} lines or point clouds beside the surfaces are not used")
         factor, said = _unit(mesh.units, form)
@@ -158,11 +157,19 @@ def _surface(path: Path, form: str) -> RawMesh:
     elif form in (".3mf", ".dae"):
         factor, said = _unit(getattr(mesh, "units", None), form)
         notes += said
-    vertices = np.array(getattr(mesh, "vertices", np.zeros((0, 3))), float).reshape(-1, 3)
+    vertices = _vertices(mesh, path)
     faces = np.array(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
     gltf = form in (".gltf", ".glb")
     up = "y" if gltf else _collada_up(path) if form == ".dae" else "z" if form == ".3mf" else None
     return RawMesh(vertices * factor, faces, notes=notes, up=up, forward="z" if gltf else None)
+
+
+def _vertices(part: Any, path: Path) -> np.ndarray:
+    """Return the vertices (n, 3) of what trimesh has read, which may be flat."""
+    vertices = np.array(getattr(part, "vertices", np.zeros((0, 3))), float)
+    if vertices.size and vertices.shape[1:] != (3,):
+        raise DefplanError(f"{path}: its vertices have {vertices.shape[-1]} coordinates, not 3")
+    return vertices.reshape(-1, 3)
 
 
 def _unit(name: str | None, form: str) -> tuple[float, list[str]]:

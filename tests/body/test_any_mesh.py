@@ -293,3 +293,10 @@ def test_sizes_are_the_files_and_tiny_ones_are_warned_of(tmp_path, capfd):
         "surface_distance", "extents_error", "volume_error", "repaired",
     }  # fmt: skip
     assert data["fidelity"]["surface_distance"] < 0.01 and data["fidelity"]["repaired"] == []
+
+
+def test_flat_vertices_are_refused_with_how_many_coordinates_they_have(tmp_path):
+    path = tmp_path / "flat.obj"
+    path.write_text("v 0 0\nv 1 0\nv 0 1\nv 1 1\nv .5 .5\n")
+    with pytest.raises(DefplanError, match=r"flat.obj: its vertices have 2 coordinates, not 3"):
+        fill_file(path, BodyOptions())
