@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from defplan_mj.log.schemas import FORMAT_VERSION
 from defplan_mj.registry import get_task
-from defplan_mj.studies import check
+from defplan_mj.studies import check, scores
 from tests.samples.paths import ROOT
 
 README = (ROOT / "README.md").read_text()
@@ -126,3 +127,15 @@ def test_the_drag_points_of_the_packaged_bodies_have_the_errors_that_the_page_sa
         digits = len(told.rstrip("%").partition(".")[2])
         assert numbers(told) == [round(100 * drag[key], digits)]
     assert mirrors.split(", ") == list(drag["mirrors"])
+
+
+def test_the_suite_s_scores_are_those_of_their_file():
+    page = (ROOT / "docs" / "suite.md").read_text()
+    with open(ROOT / "docs" / "data" / "scores.csv") as stream:
+        rows = list(csv.DictReader(stream))
+    kept = [
+        scores.Score(r["task"], r["policy"], float(r["reward"]), float(r["half_interval"]))
+        for r in rows
+    ]
+    assert {s.task for s in kept} == set(scores.TASKS)
+    assert scores.table(kept) in page
