@@ -75,7 +75,7 @@ class Body:
         stiffness: (r,) diagonal of K in the elastic energy 1/2 q^T K q, J.
         amplitude: (r,) largest |q| that gaits may ask for; the reduction is sampled up to it.
         basis: (n, 3, k) mass-orthonormal displacement basis, no motion of the centre of mass, kg^-1/2.
-        sampled: (s,) sampled tetrahedra.
+        sampled: (s,) sampled tetrahedra; of elastic shapes those whose features the fit began with.
         feature_map: (s, 9, r) maps q to skew vector (3) and strain (e11, e12, e13, e22, e23, e33).
         feature_weights: (k, 9 s) the matrix C; columns run over s, then row-major F - I.
         moments: (k+1, k+1, 3, 3) S_ab = sum_v m_v Phi_a Phi_b^T with Phi = (vertices | basis).
