@@ -20,24 +20,18 @@ import numpy as np
 
 from defplan_mj.base import rotations
 from defplan_mj.base.progress import Progress, no_progress
-from defplan_mj.body.corotational import (
-    Polar,
-    density,
-    isotropic,
-    polar,
-    second_derivative,
-    stress,
-)
+from defplan_mj.body.corotational import Polar, polar
 from defplan_mj.body.elasticity import lame
 from defplan_mj.body.elements import Elements
 from defplan_mj.body.model import Material
-from defplan_mj.body.rotation_strain import RotationStrain, strain_matrices
+from defplan_mj.body.rotation_strain import RotationStrain
 
 _TOLERANCE = 1e-3  # of the last step, of the length: the next would be a hundredth of it
 _MOST = 12  # iterations; four are enough for all but a few shapes
 _HELD = 1e-5  # stiffness that holds the body where it began, of mu times the length
 _LEAST_FRACTION = 1e-3  # of a step
 _SAID = 20  # shapes between two words of progress
+_ONE = np.eye(3)[:, :, None]
 
 
 class ElasticShapes:
@@ -61,27 +55,28 @@ class ElasticShapes:
             u[i] = self._displacement(shape)
         return u
 
+    def strain(self, q: np.ndarray) -> np.ndarray:
+        """Return the strains e (3, 3, t) of a shape q (r,), which its stretch comes near to."""
+        return self.nearest.strain(q)
+
     def misfit(self, q: np.ndarray, u: np.ndarray) -> float:
         """Return the energy of what the stretch of displacement u (n, 3) lacks, of that of shape q (r,)."""
         wanted = self._wanted(q)
         stretch = self._parts(self.mesh.vertices + u).stretch
-        return self._energy(stretch - wanted) / self._energy(wanted - _ONE)
+        fem = self._elements
+        return fem.energy(stretch - wanted) / fem.energy(wanted - _ONE)
 
     def _wanted(self, q: np.ndarray) -> np.ndarray:
-        return _ONE + strain_matrices(self.features[:, 3:] @ q).transpose(1, 2, 0)
+        return _ONE + self.strain(q)
 
     def _parts(self, x: np.ndarray) -> Polar:
         return polar(self._elements.deformation(x))
-
-    def _energy(self, strain: np.ndarray) -> float:
-        fem = self._elements
-        return float(fem.volumes @ density(strain, fem.mu, fem.lam))
 
     def _displacement(self, q: np.ndarray) -> np.ndarray:
         start = self.mesh.vertices + self.nearest.displacement(q)[0]
         wanted, x = self._wanted(q), start
         parts = self._parts(x)
-        energy = self._energy(parts.stretch - wanted)
+        energy = self._elements.energy(parts.stretch - wanted)
         for _ in range(_MOST):
             move = self._move(x - start, parts, wanted)
             fraction = 1.0
@@ -89,7 +84,7 @@ class ElasticShapes:
                 new = x + fraction * move
                 new_parts = self._parts(new)
                 held = 0.5 * float((self._held * (new - start) ** 2).sum())
-                new_energy = self._energy(new_parts.stretch - wanted) + held
+                new_energy = self._elements.energy(new_parts.stretch - wanted) + held
                 if new_energy <= energy or fraction < _LEAST_FRACTION:
                     break
                 fraction *= 0.5
@@ -102,14 +97,9 @@ class ElasticShapes:
 
     def _move(self, offset: np.ndarray, parts: Polar, wanted: np.ndarray) -> np.ndarray:
         """Return the Gauss-Newton step (n, 3), m."""
-        fem = self._elements
-        normal = isotropic(parts.stretch - wanted, fem.mu, fem.lam) * fem.volumes
-        gradient = fem.forces(stress(parts, normal)) + self._held * offset
-        size = fem.volumes
-        inner = second_derivative(
-            parts, normal, fem.gradients, fem.mu * size, fem.lam * size, definite=True
-        )
-        blocks = fem.blocks(inner, None)
+        fem, strain = self._elements, parts.stretch - wanted
+        gradient = fem.elastic_forces(parts, strain) + self._held * offset
+        blocks = fem.blocks(fem.stiffness(parts), None)
         blocks[fem.diagonal] += self._held[:, :, None] * np.eye(3)
         factor = fem.order.factor(blocks)
         if factor is None:  # flat or not finite: the shape stays where it is
@@ -120,6 +110,3 @@ class ElasticShapes:
         """Return x (n, 3), its centre of mass at the origin, turned to be nearest to `start`."""
         x = x - self.mass @ x / self.mass.sum()
         return x @ rotations.kabsch((start * self.mass[:, None]).T @ x).T
-
-
-_ONE = np.eye(3)[:, :, None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from defplan_mj.body.corotational import PAIRS
+from defplan_mj.body.corotational import PAIRS, Polar, density, isotropic, second_derivative, stress
 from defplan_mj.body.sparse_cholesky import SparseCholesky
 from defplan_mj.body.tetmesh import TetMesh, boundary, shape_gradients, volumes
 
@@ -53,6 +53,29 @@ class Elements:
         """Return the gradient (n, 3) by the vertices from V dpsi/dF (3, 3, t)."""
         corners = np.einsum("ijt,ajt->iat", first, self.gradients)
         return np.stack([self._scatter_cells @ part.ravel() for part in corners], axis=1)
+
+    def energy(self, strain: np.ndarray) -> float:
+        """Return the elastic energy of strains (3, 3, t), J."""
+        return float(self.volumes @ density(strain, self.mu, self.lam))
+
+    def elastic_forces(self, parts: Polar, strain: np.ndarray) -> np.ndarray:
+        """Return the gradient (n, 3), N, of the energy of strains S - T (3, 3, t) where F = R S is `parts`."""
+        return self.forces(stress(parts, isotropic(strain, self.mu, self.lam) * self.volumes))
+
+    def stiffness(self, parts: Polar, factor: float = 1.0) -> np.ndarray:
+        """Return the definite part (3, 3, 10, t), N/m, of `factor` times the energy's second derivative.
+
+        It takes no notice of the stress.
+        """
+        size = factor * self.volumes
+        return second_derivative(
+            parts,
+            np.zeros_like(parts.stretch),
+            self.gradients,
+            self.mu * size,
+            self.lam * size,
+            definite=True,
+        )
 
     def face_forces(self, force: np.ndarray) -> np.ndarray:
         """Return (n, 3): each triangle's vector (3, f) given to each of its corners."""

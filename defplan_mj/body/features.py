@@ -8,13 +8,24 @@ Pereyra 1973).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.optimize as so
 
+from defplan_mj.body.corotational import axial, cross_matrix
 from defplan_mj.body.rotation_strain import exponential, strain_matrices
 
 _RIDGE = 1e-7
 _FLOOR = 0.02  # of the mean square, added to a shape's own: what its error is weighted with
+_ONCE = np.array([0.5, 1.0, 1.0, 0.5, 1.0, 0.5])  # a component off the diagonal stands twice
+
+
+def fit_weights(features: np.ndarray, targets: np.ndarray, ridge: float = 1e-9) -> np.ndarray:
+    """Return C (k, f) with targets (m, k) ~ features (m, f) C^T, by ridge least squares."""
+    gram = features.T @ features
+    gram += ridge * np.trace(gram) / len(gram) * np.eye(len(gram))
+    return np.linalg.solve(gram, features.T @ targets).T
 
 
 def fitted_features(
@@ -36,7 +47,7 @@ def fitted_features(
     def loss(flat: np.ndarray) -> tuple[float, np.ndarray]:
         maps = flat.reshape(features.shape)
         values, pull = _evaluated(maps, q)
-        weights = _weights(values * row, target)
+        weights = fit_weights(values * row, target, _RIDGE)
         off = values * row @ weights.T - target
         # the weights are the best for these maps, so that only the maps' own change counts
         return (off**2).sum() / size, pull(2.0 * row * (off @ weights) / size).ravel()
@@ -45,16 +56,12 @@ def fitted_features(
         loss, features.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": rounds}
     )
     maps = found.x.reshape(features.shape)
-    return maps, _weights(_evaluated(maps, q)[0] * row, target)
+    return maps, fit_weights(_evaluated(maps, q)[0] * row, target, _RIDGE)
 
 
-def _weights(values: np.ndarray, target: np.ndarray) -> np.ndarray:
-    gram = values.T @ values
-    gram += _RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-    return np.linalg.solve(gram, values.T @ target).T
-
-
-def _evaluated(maps: np.ndarray, q: np.ndarray):
+def _evaluated(
+    maps: np.ndarray, q: np.ndarray
+) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
     """Return vec(F - I) (m, 9 s), and the function that takes its gradient to that of the maps (s, 9, r)."""
     values = np.einsum("sfr,mr->msf", maps, q, optimize=True)
     w, stretch = values[..., :3], np.eye(3) + strain_matrices(values[..., 3:])
@@ -65,14 +72,7 @@ def _evaluated(maps: np.ndarray, q: np.ndarray):
         g = gradient.reshape(f.shape)
         # dF = [J dw] F + R de
         spin = g @ f.swapaxes(-1, -2)
-        torque = np.stack(
-            [
-                spin[..., 2, 1] - spin[..., 1, 2],
-                spin[..., 0, 2] - spin[..., 2, 0],
-                spin[..., 1, 0] - spin[..., 0, 1],
-            ],
-            axis=-1,
-        )
+        torque = np.moveaxis(axial(np.moveaxis(spin, (-2, -1), (0, 1))), 0, -1)
         by_w = np.einsum("msji,msj->msi", _left_jacobian(w), torque)
         by_strain = turn.swapaxes(-1, -2) @ g
         by_strain = by_strain + by_strain.swapaxes(-1, -2)
@@ -80,9 +80,6 @@ def _evaluated(maps: np.ndarray, q: np.ndarray):
         return np.einsum("msf,mr->sfr", np.concatenate([by_w, packed], axis=-1), q, optimize=True)
 
     return (f - np.eye(3)).reshape(len(q), -1), pull
-
-
-_ONCE = np.array([0.5, 1.0, 1.0, 0.5, 1.0, 0.5])  # a component off the diagonal stands twice
 
 
 def _left_jacobian(w: np.ndarray) -> np.ndarray:
@@ -93,8 +90,6 @@ def _left_jacobian(w: np.ndarray) -> np.ndarray:
     angle = np.sqrt(safe)
     a = np.where(small, 0.5 - square / 24.0, (1.0 - np.cos(angle)) / safe)[..., None, None]
     b = np.where(small, 1.0 / 6.0 - square / 120.0, (angle - np.sin(angle)) / (safe * angle))
-    cross = np.zeros((*w.shape, 3))
-    cross[..., 2, 1], cross[..., 1, 2] = w[..., 0], -w[..., 0]
-    cross[..., 0, 2], cross[..., 2, 0] = w[..., 1], -w[..., 1]
-    cross[..., 1, 0], cross[..., 0, 1] = w[..., 2], -w[..., 2]
+    leading = cross_matrix(np.moveaxis(w, -1, 0))
+    cross = np.ascontiguousarray(np.moveaxis(leading, (0, 1), (-2, -1)))
     return np.eye(3) + a * cross + b[..., None, None] * (cross @ cross)

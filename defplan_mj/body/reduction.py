@@ -13,7 +13,7 @@ import numpy as np
 
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.elastic_shapes import ElasticShapes
-from defplan_mj.body.features import fitted_features
+from defplan_mj.body.features import fit_weights, fitted_features
 from defplan_mj.body.model import Body, Material
 from defplan_mj.body.options import SHAPES
 from defplan_mj.body.rotation_strain import RotationStrain, deformation
@@ -118,13 +118,6 @@ def choose_tetrahedra(features: np.ndarray, targets: np.ndarray, count: int) -> 
         residual -= u @ (u.T @ residual)
         blocks -= u @ (u.T @ blocks)
     return chosen
-
-
-def fit_weights(features: np.ndarray, targets: np.ndarray, ridge: float = 1e-9) -> np.ndarray:
-    """Return C (k, f) with targets (m, k) ~ features (m, f) C^T, by ridge least squares."""
-    gram = features.T @ features
-    gram += ridge * np.trace(gram) / len(gram) * np.eye(len(gram))
-    return np.linalg.solve(gram, features.T @ targets).T
 
 
 def reduce_shapes(

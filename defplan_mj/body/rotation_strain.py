@@ -120,6 +120,10 @@ class RotationStrain:
         for start in range(0, len(q), _CHUNK):
             yield self.nearest(deformation(self.features, q[start : start + _CHUNK]))
 
+    def strain(self, q: np.ndarray) -> np.ndarray:
+        """Return the strains e (3, 3, t) of a shape q (r,)."""
+        return strain_matrices(self.features[:, 3:] @ q).transpose(1, 2, 0)
+
     def nearest(self, gradients: np.ndarray) -> np.ndarray:
         """Return u (m, n, 3) whose gradients come nearest to `gradients` (m, t, 3, 3), F - I."""
         shapes, tets = gradients.shape[:2]

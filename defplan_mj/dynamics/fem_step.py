@@ -19,7 +19,6 @@ import scipy.sparse as sp
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.corotational import (
     Polar,
-    density,
     isotropic,
     polar,
     second_derivative,
@@ -93,28 +92,18 @@ class Viscosity:
         """Prepare dS/dF at `place` (n, 3); c is `factor`."""
         self._elements, self._origin, self._factor = elements, origin, factor
         self._parts = polar(elements.deformation(place))
-        size = factor * elements.volumes
-        self.hessian = second_derivative(
-            self._parts,
-            np.zeros_like(self._parts.stretch),
-            elements.gradients,
-            elements.mu * size,
-            elements.lam * size,
-            definite=True,
-        )  # (3, 3, 10, t), N/m
+        self.hessian = elements.stiffness(self._parts, factor)  # (3, 3, 10, t), N/m
 
     def _strain(self, x: np.ndarray) -> np.ndarray:
         return self._parts.strain_rate(self._elements.deformation(x - self._origin))
 
     def energy(self, x: np.ndarray) -> float:
         """Return the potential at vertices x (n, 3), J."""
-        fem = self._elements
-        return self._factor * float(fem.volumes @ density(self._strain(x), fem.mu, fem.lam))
+        return self._factor * self._elements.energy(self._strain(x))
 
     def gradient(self, x: np.ndarray) -> np.ndarray:
         """Return the gradient (n, 3) of the potential, N."""
-        fem, strain = self._elements, self._factor * self._strain(x)
-        return fem.forces(stress(self._parts, isotropic(strain, fem.mu, fem.lam) * fem.volumes))
+        return self._elements.elastic_forces(self._parts, self._factor * self._strain(x))
 
 
 @dataclass(frozen=True)
@@ -166,10 +155,9 @@ class Step:
 
     def energy(self, x: np.ndarray, parts: Polar, held: HeldContact | None = None) -> float:
         """Return E (J) of vertices x (n, 3), with what contact holds."""
-        fem, offset = self.elements, x - self.guess
+        offset = x - self.guess
         energy = 0.5 * float(self.inertia @ (offset**2).sum(1)) + float((self.linear * x).sum())
-        strain = density(parts.stretch - self.centre, fem.mu, fem.lam)
-        energy += self.weight * float(fem.volumes @ strain)
+        energy += self.weight * self.elements.energy(parts.stretch - self.centre)
         for part in (self.friction, self.drag):
             energy += 0.0 if part is None else part.energy(x)
         if self.contact is not None and held is not None:

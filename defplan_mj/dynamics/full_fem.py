@@ -34,12 +34,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.body.corotational import density, isotropic, polar, stress
+from defplan_mj.body.corotational import polar
 from defplan_mj.body.elasticity import lame
 from defplan_mj.body.elements import Elements
 from defplan_mj.body.model import Body
 from defplan_mj.body.reduction import exact_shapes_of
-from defplan_mj.body.rotation_strain import strain_matrices
 from defplan_mj.dynamics.fem_contact import FemContact
 from defplan_mj.dynamics.fem_step import Drag, Step, Touch, Viscosity, minimise
 from defplan_mj.dynamics.terrain import Terrain
@@ -281,8 +280,7 @@ class FullFem:
         if pull is None:
             return 0.0, one
         control = self.body.material.control_stiffness
-        strain = strain_matrices(self.shapes.features[:, 3:] @ pull).transpose(1, 2, 0)
-        return control, one + control / (1.0 + control) * strain
+        return control, one + control / (1.0 + control) * self.shapes.strain(pull)
 
     def _interval_force(
         self, before: np.ndarray, now: np.ndarray, pull: np.ndarray | None
@@ -292,7 +290,7 @@ class FullFem:
         parts = polar(fem.deformation(0.5 * (before + now)))
         control, rest = self._centre(pull)
         strain = (1.0 + control) * (parts.stretch - rest)
-        return fem.forces(stress(parts, isotropic(strain, fem.mu, fem.lam) * fem.volumes))
+        return fem.elastic_forces(parts, strain)
 
     def energy(self, state: FemState) -> dict[str, float | np.ndarray]:
         """Return kinetic, elastic and potential energy (J), linear and angular momentum of a state.
@@ -312,7 +310,7 @@ class FullFem:
         strain = polar(fem.deformation(place)).stretch - np.eye(3)[:, :, None]
         return {
             "kinetic": 0.5 * float(mass @ (velocity**2).sum(1)),
-            "elastic": float(fem.volumes @ density(strain, fem.mu, fem.lam)),
+            "elastic": fem.energy(strain),
             "potential": -float((self._lift * place).sum()),
             "momentum": mass @ velocity,
             "angular_momentum": moment.sum(0),

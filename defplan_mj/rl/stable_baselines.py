@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -81,14 +82,14 @@ class ManyRobots(VecEnv):
 
 
 class Curve(BaseCallback):
-    """Keeps the mean reward of every so many decisions of all robots.
+    """Keeps the mean reward of every so many decisions of all robots; if it is verbose, prints each.
 
     Attributes:
         rows: (decisions so far, mean reward of a step) of each piece of the training.
     """
 
-    def __init__(self, every: int) -> None:
-        super().__init__()
+    def __init__(self, every: int, verbose: int = 0) -> None:
+        super().__init__(verbose)
         self.rows: list[tuple[int, float]] = []
         self._every, self._rewards = every, list[float]()
 
@@ -99,4 +100,6 @@ class Curve(BaseCallback):
         if self.num_timesteps >= self._every * (len(self.rows) + 1):
             self.rows.append((self.num_timesteps, float(np.mean(self._rewards))))
             self._rewards = []
+            if self.verbose:
+                print(*self.rows[-1], round(time.process_time()), flush=True)
         return True

@@ -10,8 +10,6 @@ of 40 s that no learning has seen.
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import itertools
 import time
 from collections.abc import Callable, Sequence
@@ -22,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from defplan_mj import registry
-from defplan_mj.base import files
+from defplan_mj.log.tables import write_table
 from defplan_mj.planning.fit import fit_surrogate
 from defplan_mj.planning.robot import Robot
 from defplan_mj.studies.check import packaged_robot
@@ -133,13 +131,12 @@ def _steered(robot: Robot, robots: int) -> Act:
     """Play the packaged gaits: at each cycle the first of those few that lead nearest to the target."""
     gait, amplitude = robot.gait, robot.body.amplitude
     surrogate = fit_surrogate(robot.dynamics, gait, pairs=_PAIRS, seed=SEED)
-    turns, moves = surrogate.rotations, surrogate.translations
-    plans = np.array(list(itertools.product(range(len(moves)), repeat=_AHEAD)))
-    spin, place = np.tile(np.eye(3), (len(plans), 1, 1)), np.zeros((len(plans), 3))
+    motions = surrogate.motions("spatial")
+    plans = np.array(list(itertools.product(range(surrogate.gaits), repeat=_AHEAD)))
+    place, turned = np.zeros((len(plans), 3)), np.tile(np.eye(3), (len(plans), 1, 1))
     ways = []
     for cycle in plans.T:
-        place = place + np.einsum("pij,pj->pi", spin, moves[cycle])
-        spin = spin @ turns[cycle]
+        place, turned = motions.of(cycle).after(place, turned)
         ways.append(place)
     way = np.array(ways)  # (ahead, plans, 3), in the body's frame at the start
     table, chosen = gait.table() / amplitude, np.zeros(robots, int)
@@ -204,22 +201,26 @@ def table(scores: Sequence[Score]) -> str:
 
 def write(folder: Path, scores: Sequence[Score]) -> None:
     """Write scores.csv and curves.csv."""
-    head = ["task", "policy", "reward", "half_interval", "decisions", "steps", "cpu_s"]
-    rows: list[list[Any]] = [
-        [s.task, s.policy, f"{s.mean:.4f}", f"{s.half:.4f}", s.decisions, s.steps, round(s.seconds)]
-        for s in scores
-    ]
-    _write_csv(folder / "scores.csv", head, rows)
-    curves = [[s.task, s.policy, n, f"{r:.4f}"] for s in scores for n, r in s.curve]
-    _write_csv(folder / "curves.csv", ["task", "policy", "decisions", "reward"], curves)
-
-
-def _write_csv(path: Path, head: list[str], rows: list[list[Any]]) -> None:
-    stream = io.StringIO()
-    out = csv.writer(stream, lineterminator="\n")
-    out.writerow(head)
-    out.writerows(rows)
-    files.write_text(path, stream.getvalue())
+    learned = [(s, *point) for s in scores for point in s.curve]
+    rows = {
+        "task": [s.task for s in scores],
+        "policy": [s.policy for s in scores],
+        "reward": [round(s.mean, 4) for s in scores],
+        "half_interval": [round(s.half, 4) for s in scores],
+        "decisions": [s.decisions for s in scores],
+        "steps": [s.steps for s in scores],
+        "cpu_s": [round(s.seconds) for s in scores],
+    }
+    curves = {
+        "task": [s.task for s, _, _ in learned],
+        "policy": [s.policy for s, _, _ in learned],
+        "decisions": [decisions for _, decisions, _ in learned],
+        "reward": [round(reward, 4) for _, _, reward in learned],
+    }
+    for name, columns in (("scores", rows), ("curves", curves)):
+        write_table(
+            {key: np.array(column) for key, column in columns.items()}, folder / f"{name}.csv"
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -29,7 +29,7 @@ def train(decisions: int = DECISIONS) -> list[tuple[int, float]]:
     small = {"n_steps": ROLLOUT, "batch_size": 512, "n_epochs": 8, "gamma": 0.98}
     model = PPO("MlpPolicy", envs, seed=SEED, device="cpu", target_kl=0.03, **small)
     model.set_logger(Logger(None, []))  # else it makes a folder among the temporary files
-    curve = Curve(ROBOTS * ROLLOUT)
+    curve = Curve(ROBOTS * ROLLOUT, verbose=1)
     model.learn(decisions, callback=curve)
     envs.close()
     return curve.rows
