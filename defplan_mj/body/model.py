@@ -147,6 +147,24 @@ class Body:
         """Content hash (64 hex digits); gaits, policies and logs name the body by it."""
         return files.content_hash(self._arrays(), self._meta())
 
+    def nearly(self, other: Body, tolerance: float = 1e-6) -> bool:
+        """Say whether `other` is this body up to rounding: another machine's build of the same mesh.
+
+        Processors add in another order, so that two builds differ by some 1e-10 and have other hashes.
+
+        Args:
+            tolerance: of the largest number of an array.
+        """
+        if (self.material, self.medium) != (other.material, other.medium):
+            return False
+        pairs = [(mine, other._arrays()[name]) for name, mine in self._arrays().items()]
+        pairs.append((np.array(self.mesh_softening), np.array(other.mesh_softening)))
+        return all(
+            a.shape == b.shape
+            and bool(np.all(np.abs(a - b) <= tolerance * np.abs(a).max(initial=0)))
+            for a, b in pairs
+        )
+
     def _arrays(self) -> dict[str, np.ndarray]:
         return {f.name: getattr(self, f.name) for f in fields(self) if f.type == "np.ndarray"}
 

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
@@ -24,11 +25,29 @@ def build_of() -> Mapping[str, str]:
     return {
         **versions(),
         "C library": " ".join(platform.libc_ver()),
+        "processor's arithmetic": _arithmetic(),
         "compiled kernel": _hash([kernel]),
         "compiled MuJoCo plugin": _hash([host]),
         "source of defplan": _hash(sorted(root.rglob("*.py"))),
         "plugins": ", ".join(_plugins()),
     }
+
+
+def _arithmetic() -> str:
+    """Return which loops NumPy and its BLAS choose for this processor: their sums differ in the last digits."""
+    import numpy as np
+
+    # SciPy's BLAS counts too, so it has to be loaded
+    import scipy.linalg  # noqa: F401
+    from threadpoolctl import threadpool_info
+
+    config: Any = np.show_config(mode="dicts")
+    blas = {
+        pool.get("architecture", "unknown")
+        for pool in threadpool_info()
+        if pool["user_api"] == "blas"
+    }
+    return " ".join([*config["SIMD Extensions"]["found"], "BLAS", *sorted(blas)])
 
 
 def _plugins() -> list[str]:

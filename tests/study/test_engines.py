@@ -93,13 +93,17 @@ def test_what_differs_between_machines_is_named_and_refused(monkeypatch):
     require_same(here)
     other = {
         **here,
+        "processor's arithmetic": "X86_V3 BLAS Haswell older",
         "compiled kernel": "0" * 16,
         "plugins": here["plugins"].replace("none ", "none 0"),
     }
     told = differences(here, other)
-    assert told[0] == f"compiled kernel is {'0' * 16} there, {here['compiled kernel']} here"
-    assert told[1] == "plugins differ: none"
-    with pytest.raises(DefplanError, match="would not give the same results: compiled kernel is"):
+    assert told[0].startswith("processor's arithmetic is X86_V3 BLAS Haswell older there")
+    assert told[1] == f"compiled kernel is {'0' * 16} there, {here['compiled kernel']} here"
+    assert told[2] == "plugins differ: none"
+    with pytest.raises(
+        DefplanError, match="would not give the same results: processor's arithmetic"
+    ):
         require_same(other)
 
 
