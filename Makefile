@@ -1,6 +1,10 @@
 # Every target sets up what it needs: an environment in .venv with the locked versions, the C libraries.
 # Nothing of that is done again until the lock, the packaging or a C source changes.
 
+# A step of a pipe that fails is a failure: what pip says is shown in part.
+SHELL := bash
+.SHELLFLAGS := -o pipefail -c
+
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 READY := $(VENV)/.defplan-ready
@@ -86,8 +90,10 @@ docs: $(READY)
 
 # The libraries are built first and by themselves, so that a missing compiler is one sentence.
 $(READY): $(SOURCES) | $(PYTHON)
-	@echo "installing requirements.lock (about 80 packages) and building two C libraries: some minutes"
-	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	@echo "installing the $$(grep -c == requirements.lock) packages of requirements.lock and building two C libraries: some minutes"
+	@$(PYTHON) -m pip install --disable-pip-version-check --progress-bar off -r requirements.lock | \
+	  awk '/^(Collecting|Processing)/ { n++ } /^Processing|^ *(Downloading|Using cached)/ { sub(/^ +/, ""); print "  " n ": " $$0; fflush() } \
+	    /^Installing|^Successfully/ { print "  " substr($$0, 1, 60) " ..."; fflush() }'
 	$(PYTHON) setup.py -q build_ext --inplace
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
 	@touch $@

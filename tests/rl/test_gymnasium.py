@@ -149,3 +149,17 @@ def test_a_batch_steps_as_single_robots_and_says_who_failed():
         assert np.array_equal(batch.states[i], dynamics.step(before[i], shapes[i]))
     with pytest.raises(DefplanError, match="need"):
         batch.step(shapes[:3])
+
+
+@pytest.mark.filterwarnings("ignore:.*infinity", "ignore:.*DISPLAY")
+@pytest.mark.parametrize("task", ["swim", "navigate"])
+def test_shimmy_makes_an_environment_of_the_suites_own(task):
+    from shimmy import DmControlCompatibilityV0
+
+    env = DmControlCompatibilityV0(suite.load("fish", task, task_kwargs={"random": 0}))
+    check_env(env, skip_render_check=True)
+    observation, *_ = env.step(env.action_space.sample())
+    assert (
+        set(observation) >= {"swim": {"shape", "velocity"}, "navigate": {"laser", "target"}}[task]
+    )
+    env.close()
