@@ -12,7 +12,8 @@ from defplan_mj.gait.problem import GaitProblem
 class GaitSolver(Protocol):
     """A gait solver plugin (entry point group `defplan_mj.solvers`).
 
-    Its repr tells it from one with other options.
+    Its repr tells it from one with other options. One whose gaits belong to packaged bodies has an attribute
+    `body_as_packaged = True`: a run then takes its task's packaged body.
     """
 
     @property

@@ -13,7 +13,7 @@ from defplan_mj.base import files, threads
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.files import file_hash
 from defplan_mj.base.reading import read_json
-from defplan_mj.pipeline.provenance import plugin_data
+from defplan_mj.pipeline.provenance import content_of, plugin_data
 from defplan_mj.pipeline.stage import Stage
 from defplan_mj.pipeline.store import write_json
 from defplan_mj.studies.gait_solvers import SWITCHING_CYCLES
@@ -37,7 +37,18 @@ TRAINING_VERSION = 1
 # ---- body
 
 
+def _packaged_body(run: Run) -> Path | None:
+    """Return the task's packaged body if the gait solver asks for it, because its gaits belong to that one."""
+    if not getattr(run.plan.gait_solver, "body_as_packaged", False):
+        return None
+    shipped = run.plan.spec.shipped
+    return shipped[0] if shipped and shipped[0].is_file() else None
+
+
 def _body_inputs(run: Run) -> dict[str, Any]:
+    packaged = _packaged_body(run)
+    if packaged is not None:
+        return {"packaged": content_of(packaged)}
     mesh = run.plan.spec.mesh
     return {
         "mesh": file_hash(mesh) if mesh.is_file() else "missing",
@@ -47,9 +58,14 @@ def _body_inputs(run: Run) -> dict[str, Any]:
 
 def _make_body(run: Run) -> Iterable[Path]:
     from defplan_mj.body.build import build_body
+    from defplan_mj.body.model import Body
 
-    path, spec = run.file(BODY_FILE), run.plan.spec
-    build_body(spec.mesh, spec.body, run.progress_of("body")).save(path)
+    path, spec, packaged = run.file(BODY_FILE), run.plan.spec, _packaged_body(run)
+    if packaged is not None:
+        body = Body.load(packaged)
+    else:
+        body = build_body(spec.mesh, spec.body, run.progress_of("body"))
+    body.save(path)
     return [path]
 
 

@@ -17,13 +17,18 @@ from defplan_mj.gait.problem import GaitProblem
 class AsPackaged:
     """Solves nothing: finds the gaits that were made for this body and these tasks.
 
-    The same mesh gives a body that differs in its last digits on another kind of processor, so the packaged body
-    counts as this one if it is it up to rounding.
+    A run of it takes the task's packaged body, too: on another kind of processor the same mesh gives another one,
+    in the last digits, or in more where a fit makes much of them (elastic shapes). Asked about a body of one's
+    own, it takes the packaged one for it if they are the same up to rounding.
+
+    Attributes:
+        body_as_packaged: whether a run's body is the task's packaged one, in place of one built from the mesh.
     """
 
     kind: str = "gait"
     name: str = "as-packaged"
-    summary: str = "the gaits that the task comes with, made before; solves nothing"
+    summary: str = "the body and gaits that the task comes with, made before; solves nothing"
+    body_as_packaged: bool = True
 
     def solve(self, problem: GaitProblem, seed: int = 0, progress: Progress = no_progress) -> Gait:
         """Return the packaged gaits of `problem`; the seed has no part in it.

@@ -9,6 +9,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.model import Body
 from defplan_mj.gait.gait import Gait
 from defplan_mj.gait.problem import GaitProblem
+from defplan_mj.pipeline.run import open_run
 from solvers.gait.as_packaged import SOLVER
 
 
@@ -38,6 +39,14 @@ def test_another_body_gets_none(spec, packaged):
     stiffer = replace(packaged, stiffness=packaged.stiffness * 1.01)
     with pytest.raises(DefplanError, match="no installed task comes with gaits"):
         SOLVER.solve(_problem(spec, stiffer))
+
+
+def test_a_run_has_the_packaged_body_and_builds_none(packaged, tmp_path, monkeypatch):
+    monkeypatch.setattr("defplan_mj.body.build.build_body", None)
+    spec = registry.get_task("fish-swim")
+    with open_run(spec, tmp_path, 0, {"gait_solver": "as-packaged"}) as run:
+        run.do("gait")
+        assert run.result("body").hash == packaged.hash == run.result("gait").body_hash
 
 
 def test_nearly_looks_at_every_part_of_a_body(packaged):
