@@ -6,7 +6,7 @@ figures are those of the tasks' `paper`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ from defplan_mj.report.material import training_curves
 from defplan_mj.report.sections.paper import paper_calls
 from defplan_mj.report.sections.surrogate import COLUMNS as TABLE_THREE
 from defplan_mj.report.sections.surrogate import table_three
-from defplan_mj.study.claims import CLAIMS, Robot, open_loop
+from defplan_mj.study.claims import CLAIMS, Robot, open_loop, tunnel
 from defplan_mj.study.findings import Findings
 from defplan_mj.study.measures import measured
 from defplan_mj.study.rows import mean, rate
@@ -51,7 +51,7 @@ def sections(findings: Findings) -> list[Section]:
         (places if find_task(source).navigation.scenes else open_water).append(source)
     robots = [_robot(findings, source) for source in open_water]
     return [
-        _claims(findings, robots),
+        _claims(findings, robots, _in_places(findings, places)),
         _table_one(robots),
         _table_two(robots),
         _table_three(robots),
@@ -83,8 +83,22 @@ def _folder(findings: Findings, rows: Sequence[Row]) -> Path | None:
     return findings.root / rows[0]["folder"] if rows else None
 
 
-def _claims(findings: Findings, robots: Sequence[Robot]) -> Section:
+def _in_places(findings: Findings, places: Sequence[str]) -> dict[str, list[Row]]:
+    """Return the runs in scenes that gaits were not made for, by task and planner."""
+    found: dict[str, list[Row]] = {}
+    for source in places:
+        name = find_task(source).name
+        for row in findings.good:
+            if row["task"] == name:
+                found.setdefault(f"{name}, {row['planner']}", []).append(row)
+    return found
+
+
+def _claims(
+    findings: Findings, robots: Sequence[Robot], in_places: Mapping[str, Sequence[Row]]
+) -> Section:
     claims = [claim(robots) for claim in CLAIMS]
+    claims.append(tunnel(in_places))
     claims.insert(7, open_loop(robots, findings.study.roles.get("feedback", "")))
     rows = [[claim.text, f"{claim.verdict.capitalize()}. {claim.evidence}."] for claim in claims]
     return Section(
@@ -265,16 +279,16 @@ def _figure_seven(findings: Findings, places: Sequence[str]) -> Section:
     blocks: list[Block] = []
     for source in places:
         spec = find_task(source)
-        own = [row for row in findings.good if row["task"] == spec.name]
-        for planner in dict.fromkeys(row["planner"] for row in own):
-            mine = [row for row in own if row["planner"] == planner]
+        mine = _in_places(findings, [source])
+        for own in mine.values():
             figures = [
-                rate(mine, f"{kind}_success", f"{kind}_episodes")
+                rate(own, f"{kind}_success", f"{kind}_episodes")
                 for kind in ("k2", "novel", "novel_unchecked")
             ]
             told = [share(figure) if figure else "–" for figure in figures]
-            rows.append([spec.name, planner, spec.navigation.scenes, *told])
-        if own and (logs := _logs(findings.root / own[0]["folder"])):
+            rows.append([spec.name, own[0]["planner"], spec.navigation.scenes, *told])
+        first = next(iter(mine.values()), [])
+        if first and (logs := _logs(findings.root / first[0]["folder"])):
             drawn = [drawing(figure) for figure in overview_figures(logs)]
             blocks.append(
                 Figures(drawn, f"{spec.name}: {len(logs)} logged episodes, as in Fig. 7.")

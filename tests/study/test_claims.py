@@ -96,6 +96,16 @@ def test_a_limit_among_moving_obstacles_needs_an_interval_below_all():
     assert claims.moving_limits([few]).verdict == UNDECIDED
 
 
+def test_a_tunnel_is_gone_through_or_not_by_its_own_runs():
+    name, unseen = "fish-tunnel, dql-cnn", {"novel_episodes": 16, "novel_success": 0.75}
+    unseen |= {"novel_unchecked_episodes": 16, "novel_unchecked_success": 0.5}
+    through, stuck = ({name: [k2(share) | unseen]} for share in (1.0, 0.5))
+    told = claims.tunnel(through)
+    assert told.verdict == HOLDS and f"{name} 100%" in told.evidence and "75%" in told.evidence
+    assert claims.tunnel(stuck).verdict == NOT
+    assert claims.tunnel({}).verdict == OPEN
+
+
 def test_every_claim_is_told_even_if_nothing_was_run():
     for claim in claims.CLAIMS:
         told = claim([robot()])
