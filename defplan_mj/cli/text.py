@@ -227,16 +227,19 @@ def check_text(data: dict[str, Any]) -> str:
         row = [gait["name"]]
         for what in ("advance_m", "turn_rad"):
             row += [f"{gait[what][kind]:.3f}" for kind in kinds]
+        row += [f"{gait['shifted'][name]:.3f}" for name in ("advance_sd_m", "turn_sd_rad")]
         if "full" in kinds:
             row += [f"{100 * gait['shape_error']:.1f}%", f"{gait['attitude_rad']:.3f}"]
         rows.append(row)
     columns = ["gait", *(f"m {k}" for k in kinds), *(f"rad {k}" for k in kinds)]
+    columns += ["± m", "± rad"]
     columns += ["shape", "attitude"] if "full" in kinds else []
     text = table(columns, rows, f"{data['task']}: a cycle of each gait")
     drag, frequency = data["drag_force_error"], data["frequency_error"]
     notes = [
         "refined: every step divided by four; substeps: only those; full: the full FEM",
         "modes, basis, drag_points: bodies with more of them" if "modes" in kinds else "",
+        f"±: what shifts of all target shapes by {data['shift']:.0%} of the amplitude change (sd)",
         f"drag force within {100 * drag:.1f}%" if drag is not None else "",
         f"frequencies within {100 * frequency:.1f}%" if frequency is not None else "",
         f"falls with finer steps: {data['falls_refined']}",

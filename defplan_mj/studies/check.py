@@ -26,6 +26,7 @@ CHECK_FILE = "check.json"
 FINER = 4  # what every step is divided by
 SETTLE, CYCLES = 2, 2  # cycles from rest that are not judged, and that are, in the full FEM
 _POSES = 4  # of a judged cycle at which shapes are compared
+SHIFT, SHIFTS = 0.03, 16  # of the amplitude, that target shapes are moved by; how often
 
 
 @dataclass(frozen=True)
@@ -89,9 +90,12 @@ def check_gaits(
         'full'}: of the reduced dynamics; of the same DMP with every step divided by four; with the
         target's ramp as it is and four times as many substeps; of the full FEM, if it was asked; 'modes',
         'basis', 'drag_points': of bodies with more of these),
-        'shape_error' (rms distance of reduced and full vertices after a rigid motion, of the rms
-        displacement from rest) and 'attitude_rad' (between the two bodies at the end); 'drag_force_error',
-        'frequency_error' (largest of the first three), 'falls_refined'.
+        'shifted' ('advance_sd_m', 'turn_sd_rad': how both scatter when all target shapes are moved by a
+        constant, normal ones of 'shift' of the amplitude, seeded by `seed`: a gait that answers a little
+        bend by much cannot be truer than its body's shapes); 'shape_error' (rms distance of reduced and
+        full vertices after a rigid motion, of the rms displacement from rest) and 'attitude_rad' (between
+        the two bodies at the end); 'drag_force_error', 'frequency_error' (largest of the first three),
+        'falls_refined'.
 
     Raises:
         DefplanError: the gaits are not of this body, or a solve failed.
@@ -118,6 +122,7 @@ def check_gaits(
             shapes = np.tile(played.table()[j], (SETTLE + CYCLES, 1))
             states[kind] = dynamics.rollout(dynamics.rest_state(), shapes)
             _tell(row, kind, _judged(spec, task, states[kind], played))
+        row["shifted"] = _shifted(spec, task, robot, gait.table()[j], seed)
         if full:
             _compare_full(spec, robot, j, states["reduced"], row, progress)
         rows.append(row)
@@ -131,9 +136,32 @@ def check_gaits(
     return {
         "task": spec.name,
         "gaits": rows,
+        "shift": SHIFT,
         "drag_force_error": body.source.get("drag", {}).get("error"),
         "frequency_error": max((abs(e) for e in errors), default=None),
         "falls_refined": falls,
+    }
+
+
+def _shifted(
+    spec: TaskSpec, task: GaitTask, robot: Robot, shapes: np.ndarray, seed: int
+) -> dict[str, float]:
+    """Return how much advance and turn of target shapes (n, r) scatter when these are moved a little."""
+    dynamics, gait = robot.dynamics, robot.gait
+    start = dynamics.rest_state()
+    moves = np.random.default_rng(seed).normal(size=(SHIFTS, dynamics.nu)) * SHIFT * gait.amplitude
+    motions = [
+        _judged(
+            spec,
+            task,
+            dynamics.rollout(start, np.tile(shapes + move, (SETTLE + CYCLES, 1))),
+            gait,
+        )
+        for move in moves
+    ]
+    return {
+        "advance_sd_m": float(np.std([motion.advance for motion in motions])),
+        "turn_sd_rad": float(np.std([motion.turn for motion in motions])),
     }
 
 

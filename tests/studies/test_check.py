@@ -75,6 +75,18 @@ def test_finer_steps_hardly_change_a_gait(small_fish, wag):
         assert abs(row["turn_rad"][kind] - row["turn_rad"]["reduced"]) < 0.01
 
 
+def test_a_gaits_answer_to_shifted_shapes_is_told_and_repeats(small_fish, wag):
+    spec = registry.get_task("fish-swim")
+    robot = Robot(small_fish, wag, spec.world)
+    one, again, other = (
+        check.check_gaits(spec, robot, full=False, seed=seed)["gaits"][0]["shifted"]
+        for seed in (0, 0, 1)
+    )
+    assert one == again != other
+    # 3% of a bend to the side turn a fish, by far less than a turn
+    assert 0.0 < one["turn_sd_rad"] < 0.5 and 0.0 < one["advance_sd_m"] < 0.2 * small_fish.length
+
+
 def test_refining_keeps_the_rhythm(wag):
     fine = check.refined(wag)
     np.testing.assert_allclose(fine.table()[:, 3::4], wag.table(), atol=1e-12)

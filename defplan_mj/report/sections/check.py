@@ -33,6 +33,19 @@ def check_section(material: Material) -> Section:
         name = "advance" if unit == "m" else "turn"
         caption = f"The {name} of a cycle of each gait, played over and over from rest, {unit}."
         section.blocks.append(Table(["gait", *(_KINDS[kind] for kind in kinds)], rows, caption))
+    if "shifted" in gaits[0]:
+        rows = [
+            [
+                gait["name"],
+                *(f"{gait['shifted'][of]:.3f}" for of in ("advance_sd_m", "turn_sd_rad")),
+            ]
+            for gait in gaits
+        ]
+        caption = (
+            "How much a cycle scatters (standard deviation) when all target shapes are moved by normal "
+            f"shifts of {percent(data['shift'])} of the amplitude: no gait is truer than its body's shapes."
+        )
+        section.blocks.append(Table(["gait", "advance, m", "turn, rad"], rows, caption))
     if "full" in kinds:
         rows = [
             [gait["name"], percent(gait["shape_error"]), f"{gait['attitude_rad']:.3f}"]
