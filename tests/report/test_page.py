@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
@@ -359,3 +361,52 @@ def test_still_obstacles_are_the_speed_0_of_the_moving_ones():
     assert (row["speed"], row["success"], row["episodes"]) == (0.0, 0.9, 10)
     assert row["interval"]["success"] == pytest.approx(wilson_interval(9, 10))
     assert _still(Material(Path())) == []
+
+
+@pytest.fixture(scope="module")
+def figures(run, spatial_run, tmp_path_factory):
+    """Return the figures of both runs' reports as they were drawn."""
+    drawn: list[Figure] = []
+
+    def save(figure, *args, **options):
+        drawn.append(figure)
+        return saved(figure, *args, **options)
+
+    saved = Figure.savefig
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", save)
+        for folder in (run, spatial_run):
+            copy = tmp_path_factory.mktemp("drawn") / folder.name
+            shutil.copytree(folder, copy)
+            write_report(copy)
+    assert len(drawn) > 20
+    return drawn
+
+
+def _shown_axes(figures):
+    return [axes for figure in figures for axes in figure.axes if axes.axison]
+
+
+def test_the_numbers_along_an_axis_stand_apart(figures):
+    looked = 0
+    for axes in _shown_axes(figures):
+        figure = axes.figure
+        renderer = FigureCanvasAgg(figure).get_renderer()
+        for axis in (axes.xaxis, axes.yaxis):
+            labels = [one for one in axis.get_ticklabels() if one.get_text() and one.get_visible()]
+            boxes = [one.get_window_extent(renderer) for one in labels]
+            for i, box in enumerate(boxes):
+                looked += 1
+                assert not any(box.overlaps(other) for other in boxes[:i]), axes.get_title()
+    assert looked > 50
+
+
+def test_every_axis_with_numbers_says_what_it_counts(figures):
+    number = re.compile(r"[−-]?[0-9.,]+%?")
+    unnamed = set()
+    for axes in _shown_axes(figures):
+        for axis, name in ((axes.xaxis, axes.get_xlabel()), (axes.yaxis, axes.get_ylabel())):
+            shown = [one.get_text() for one in axis.get_ticklabels() if one.get_visible()]
+            if any(map(number.fullmatch, shown)) and not re.search(r"\([^)]+\)", name):
+                unnamed.add(name or f"{axes.get_title()} {shown}")
+    assert unnamed == {"transitions"}, "the name is the unit"
