@@ -13,7 +13,7 @@ from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.convergence import stiffness_correction
 from defplan_mj.body.cubature import drag_points
-from defplan_mj.body.elasticity import linear_modes
+from defplan_mj.body.elasticity import moving_modes
 from defplan_mj.body.loading import Filled, fill_file
 from defplan_mj.body.model import LIMITS, Body
 from defplan_mj.body.options import SHAPES, BodyOptions
@@ -54,6 +54,8 @@ def check_options(options: BodyOptions) -> None:
             raise DefplanError(f"{name} is {value}: it must lie between {least} and {most}")
     if options.shapes not in SHAPES:
         raise DefplanError(f"shapes is '{options.shapes}': it can be {' or '.join(SHAPES)}")
+    if not 0.0 <= options.moved < 1.0:
+        raise DefplanError(f"moved is {options.moved}: it must lie between 0 and 1")
     material = options.material
     for axis in (options.up, options.forward):
         if axis is not None:
@@ -153,9 +155,9 @@ def _build(path: Path, options: BodyOptions, progress: Progress, name: str, fill
     mass = lumped_mass(mesh.vertices, mesh.tetrahedra, options.material.density)
     mesh = TetMesh(mesh.vertices - mass @ mesh.vertices / mass.sum(), mesh.tetrahedra)
     progress("finding the linear modes", 0.2)
-    values, modes = linear_modes(mesh, options.material, mass, options.modes)
+    values, modes, looked = moving_modes(mesh, options.material, mass, options.modes, options.moved)
     progress("finding how much too stiff the mesh is", 0.25)
-    correction = stiffness_correction(mesh, options.material, mass, modes)
+    correction = stiffness_correction(mesh, options.material, mass, modes, values, looked)
     values = values * correction.young
     source["frequencies"] = {
         "hertz": (np.sqrt(values) / (2.0 * np.pi)).tolist(),

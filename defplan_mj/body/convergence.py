@@ -173,7 +173,12 @@ def _mass_pattern() -> np.ndarray:
 
 
 def stiffness_correction(
-    mesh: TetMesh, material: Material, mass: np.ndarray, modes: np.ndarray
+    mesh: TetMesh,
+    material: Material,
+    mass: np.ndarray,
+    modes: np.ndarray,
+    own: np.ndarray,
+    looked: int | None = None,
 ) -> StiffnessCorrection:
     """Return what makes the stiffness of a body's modes, and of its mesh, that of the body.
 
@@ -183,19 +188,20 @@ def stiffness_correction(
     Args:
         mass: (n,) vertex masses, kg.
         modes: (n, 3, r) of the mesh with linear tetrahedra, any scale.
+        own: (r,) their w^2, 1/s^2.
+        looked: how many modes are as slow as the last of them; if not given, they are the slowest.
     """
     r = modes.shape[2]
     flat = modes.reshape(-1, r) * np.repeat(np.sqrt(mass), 3)[:, None]
     flat = flat / np.linalg.norm(flat, axis=0)
-    squares, shapes = quadratic_modes(mesh, material, r + 3)
-    there = shapes[: len(mass)].reshape(-1, r + 3) * np.repeat(np.sqrt(mass), 3)[:, None]
+    squares, shapes = quadratic_modes(mesh, material, (looked or r) + 3)
+    there = shapes[: len(mass)].reshape(-1, len(squares)) * np.repeat(np.sqrt(mass), 3)[:, None]
     there = there / np.linalg.norm(there, axis=0)
     likeness = (flat.T @ there) ** 2
     match = np.empty(r, int)
     for mode in np.argsort(-likeness.max(1), kind="stable"):
         match[mode] = likeness[mode].argmax()
         likeness[:, match[mode]] = -1.0
-    own, _ = linear_modes(mesh, material, mass, r)
     modal = squares[match] / own
     young = float(np.exp(np.log(modal[:3]).mean()))
     return StiffnessCorrection(

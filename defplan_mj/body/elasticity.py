@@ -65,6 +65,48 @@ def linear_modes(
     return values[order], (modes * np.sign(largest)).reshape(-1, 3, count)
 
 
+def moving_modes(
+    mesh: TetMesh, material: Material, mass: np.ndarray, count: int, moved: float
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the slowest modes that move some of the body, and not only an ear or a horn.
+
+    Args:
+        mass: (n,) vertex masses, kg.
+        count: modes wanted.
+        moved: least `moved_share` of a mode; 0: the slowest modes of all. Where too few of the first 64 have it,
+            those of them that move the most fill up.
+
+    Returns:
+        w^2 (count,), ascending, 1/s^2, and modes (n, 3, count), as `linear_modes` does; how many modes are as
+        slow as the last of them.
+    """
+    looked = count
+    values, modes = linear_modes(mesh, material, mass, looked)
+    most = min(_MOST_LOOKED, 3 * len(mass) - 7)
+    while moved and looked < most and np.sum(moved_share(modes, mass) >= moved) < count:
+        looked = min(2 * looked, most)
+        values, modes = linear_modes(mesh, material, mass, looked)
+    if not moved:
+        return values, modes, count
+    share = moved_share(modes, mass)
+    enough = np.flatnonzero(share >= moved)[:count]
+    rest = np.setdiff1d(np.argsort(-share, kind="stable"), enough, assume_unique=True)
+    places = np.sort(np.concatenate([enough, rest[: count - len(enough)]]))
+    return values[places], modes[..., places], int(places[-1]) + 1
+
+
+_MOST_LOOKED = 64
+
+
+def moved_share(modes: np.ndarray, mass: np.ndarray) -> np.ndarray:
+    """Return how much of the mass takes part in modes (n, 3, r), in (0, 1]: 1 if all of it moves as far.
+
+    With d a vertex's way it is (sum m d^2)^2 / (sum m sum m d^4), the participation ratio.
+    """
+    way = (modes**2).sum(1)
+    return (mass @ way) ** 2 / (mass.sum() * (mass @ way**2))
+
+
 SYMMETRIC: dict = {
     "permc_spec": "MMD_AT_PLUS_A",
     "diag_pivot_thresh": 0.0,

@@ -35,6 +35,8 @@ class BodyOptions:
         material, medium: see their classes.
         shapes: what the reduction comes near to: 'rotation-strain' (the paper's) or 'elastic', the shapes
             where the full FEM rests, which take longer to build.
+        moved: share of the mass that a mode has to move; slower ones that move less, of an ear or a horn,
+            are passed over (0: none is).
     """
 
     vertices: int = 2000
@@ -52,6 +54,7 @@ class BodyOptions:
     strict: bool = False
     shape_error: float | None = None
     shapes: str = SHAPES[0]
+    moved: float = 0.0
 
     def stated(self) -> dict[str, Any]:
         """Return the options as data; the later ones only where they differ from their defaults.
@@ -64,6 +67,7 @@ class BodyOptions:
             "strict": False,
             "shape_error": None,
             "shapes": SHAPES[0],
+            "moved": 0.0,
         }
         return {
             name: value

@@ -88,7 +88,7 @@ def _what(arguments: argparse.Namespace) -> tuple[Path, BodyOptions, str, str]:
         mesh, options, name, task, changes = spec.mesh, spec.body, spec.mesh.stem, spec.name, {}
     material = _given(arguments, density="density", youngs_modulus="youngs_modulus",
                       poissons_ratio="poissons_ratio")  # fmt: skip
-    changes |= _given(arguments, vertices="vertices", modes="modes", shapes="shapes",
+    changes |= _given(arguments, vertices="vertices", modes="modes", shapes="shapes", moved="moved",
                       length="length", up="up", forward="forward")  # fmt: skip
     if arguments.strict:
         changes["strict"] = True

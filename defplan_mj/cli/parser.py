@@ -266,6 +266,12 @@ def _body(sub: argparse.ArgumentParser) -> None:
         help="what the reduction comes near to; elastic: where the full FEM rests, minutes to build",
     )
     sub.add_argument(
+        "--moved",
+        type=float,
+        metavar="SHARE",
+        help="pass over modes that move less than this share of the mass, such as 0.01: ears, horns",
+    )
+    sub.add_argument(
         "--length",
         type=_positive,
         metavar="M",

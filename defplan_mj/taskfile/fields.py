@@ -139,6 +139,7 @@ BOUNDS: dict[type, dict[str, Bound]] = {
         "up": _one_of(*AXES),
         "forward": _one_of(*AXES),
         "shapes": _one_of(*SHAPES),
+        "moved": Bound(lambda x: 0 <= x < 1, "between 0 and 1"),
     },
     Material: {
         "density": _POSITIVE,

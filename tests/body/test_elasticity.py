@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from defplan_mj.body.elasticity import linear_modes, stiffness_matrix
+from defplan_mj.body.elasticity import linear_modes, moved_share, moving_modes, stiffness_matrix
 from defplan_mj.body.model import Material
-from defplan_mj.body.tetmesh import lumped_mass
+from defplan_mj.body.tetmesh import TetMesh, lumped_mass
 from tests.samples.meshes import bar
 
 CORK = Material(density=1000.0, youngs_modulus=1e6, poissons_ratio=0.0)
@@ -52,6 +52,30 @@ def test_stretching_mode_has_the_frequency_of_a_free_rod():
     axial = np.flatnonzero(share > 0.9)
     expected = np.sqrt(CORK.youngs_modulus / CORK.density) / 2.0  # Hz, half a wave on 1 m
     assert np.sqrt(squares[axial[0]]) / (2 * np.pi) == pytest.approx(expected, rel=0.01)
+
+
+def test_modes_of_a_whisker_are_passed_over():
+    whole = bar((16, 4, 4), (2.0, 0.5, 0.5))
+    x, y, z = (whole.vertices[whole.tetrahedra].mean(1) - whole.vertices.min(0)).T
+    kept = whole.tetrahedra[(x < 1.0) | ((y < 0.125) & (z < 0.125))]
+    used, kept = np.unique(kept, return_inverse=True)
+    mesh = TetMesh(whole.vertices[used], kept.reshape(-1, 4))
+    mass = lumped_mass(mesh.vertices, mesh.tetrahedra, 1000.0)
+    squares, modes = linear_modes(mesh, CORK, mass, 12)
+    share = moved_share(modes, mass)
+    assert (share[:4] < 0.05).all() and share.max() > 0.2  # the whisker first, then the trunk
+    assert moved_share(np.ones((len(mass), 3, 1)), mass) == pytest.approx(1.0)
+    values, moving, looked = moving_modes(mesh, CORK, mass, 3, 0.05)
+    first = np.flatnonzero(share >= 0.05)[:3]
+    assert looked == first[-1] + 1
+    np.testing.assert_allclose(values, squares[first], rtol=1e-9)
+    assert (moved_share(moving, mass) >= 0.05).all()
+    # where there are not enough, those that move the most fill up, the slowest first
+    values, filled, _ = moving_modes(mesh, CORK, mass, 3, 0.999)
+    assert (np.diff(values) > 0).all() and filled.shape == moving.shape
+    np.testing.assert_array_equal(
+        moving_modes(mesh, CORK, mass, 3, 0.0)[0], linear_modes(mesh, CORK, mass, 3)[0]
+    )
 
 
 def test_bending_frequency_converges_to_the_euler_bernoulli_beam():
