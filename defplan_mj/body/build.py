@@ -155,9 +155,9 @@ def _build(path: Path, options: BodyOptions, progress: Progress, name: str, fill
     mass = lumped_mass(mesh.vertices, mesh.tetrahedra, options.material.density)
     mesh = TetMesh(mesh.vertices - mass @ mesh.vertices / mass.sum(), mesh.tetrahedra)
     progress("finding the linear modes", 0.2)
-    values, modes, looked = moving_modes(mesh, options.material, mass, options.modes, options.moved)
+    values, modes, place = moving_modes(mesh, options.material, mass, options.modes, options.moved)
     progress("finding how much too stiff the mesh is", 0.25)
-    correction = stiffness_correction(mesh, options.material, mass, modes, values, looked)
+    correction = stiffness_correction(mesh, options.material, mass, modes, values, place[-1])
     values = values * correction.young
     source["frequencies"] = {
         "hertz": (np.sqrt(values) / (2.0 * np.pi)).tolist(),

@@ -178,7 +178,7 @@ def stiffness_correction(
     mass: np.ndarray,
     modes: np.ndarray,
     own: np.ndarray,
-    looked: int | None = None,
+    looked: int,
 ) -> StiffnessCorrection:
     """Return what makes the stiffness of a body's modes, and of its mesh, that of the body.
 
@@ -189,12 +189,12 @@ def stiffness_correction(
         mass: (n,) vertex masses, kg.
         modes: (n, 3, r) of the mesh with linear tetrahedra, any scale.
         own: (r,) their w^2, 1/s^2.
-        looked: how many modes are as slow as the last of them; if not given, they are the slowest.
+        looked: how many modes of the mesh are as slow as the last of them.
     """
     r = modes.shape[2]
     flat = modes.reshape(-1, r) * np.repeat(np.sqrt(mass), 3)[:, None]
     flat = flat / np.linalg.norm(flat, axis=0)
-    squares, shapes = quadratic_modes(mesh, material, (looked or r) + 3)
+    squares, shapes = quadratic_modes(mesh, material, looked + 3)
     there = shapes[: len(mass)].reshape(-1, len(squares)) * np.repeat(np.sqrt(mass), 3)[:, None]
     there = there / np.linalg.norm(there, axis=0)
     likeness = (flat.T @ there) ** 2

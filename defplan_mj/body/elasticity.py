@@ -67,7 +67,7 @@ def linear_modes(
 
 def moving_modes(
     mesh: TetMesh, material: Material, mass: np.ndarray, count: int, moved: float
-) -> tuple[np.ndarray, np.ndarray, int]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the slowest modes that move some of the body, and not only an ear or a horn.
 
     Args:
@@ -77,8 +77,8 @@ def moving_modes(
             those of them that move the most fill up.
 
     Returns:
-        w^2 (count,), ascending, 1/s^2, and modes (n, 3, count), as `linear_modes` does; how many modes are as
-        slow as the last of them.
+        w^2 (count,), ascending, 1/s^2, and modes (n, 3, count), as `linear_modes` does; how many modes
+        (count,) are as slow as each of them.
     """
     looked = count
     values, modes = linear_modes(mesh, material, mass, looked)
@@ -87,12 +87,12 @@ def moving_modes(
         looked = min(2 * looked, most)
         values, modes = linear_modes(mesh, material, mass, looked)
     if not moved:
-        return values, modes, count
+        return values, modes, np.arange(count) + 1
     share = moved_share(modes, mass)
     enough = np.flatnonzero(share >= moved)[:count]
     rest = np.setdiff1d(np.argsort(-share, kind="stable"), enough, assume_unique=True)
     places = np.sort(np.concatenate([enough, rest[: count - len(enough)]]))
-    return values[places], modes[..., places], int(places[-1]) + 1
+    return values[places], modes[..., places], places + 1
 
 
 _MOST_LOOKED = 64

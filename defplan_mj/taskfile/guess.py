@@ -232,7 +232,7 @@ def _with_modes(path: Path, options: BodyOptions) -> tuple[BodyOptions, np.ndarr
     mass = lumped_mass(mesh.vertices, mesh.tetrahedra, material.density)
     bends = options.modes == BODIES["planar"].modes
     count = _MOST_MODES if bends else options.modes
-    values, modes, looked = moving_modes(mesh, material, mass, count, options.moved)
+    values, modes, place = moving_modes(mesh, material, mass, count, options.moved)
     if bends:
         share = np.cumsum(lateral_share(mesh.vertices, modes, mass))
         enough = int(np.searchsorted(share, _BENDING)) + 1
@@ -241,7 +241,7 @@ def _with_modes(path: Path, options: BodyOptions) -> tuple[BodyOptions, np.ndarr
         )
         values, modes = values[: options.modes], modes[..., : options.modes]
     # of the body's first modes: all modes are corrected alike, by what these are too stiff
-    correction = stiffness_correction(mesh, material, mass, modes[..., :3], values[:3], looked)
+    correction = stiffness_correction(mesh, material, mass, modes[..., :3], values[:3], place[2])
     hertz = np.sqrt(values * correction.young) / (2 * np.pi)
     return options, hertz * np.sqrt(1.0 + material.control_stiffness)
 

@@ -63,7 +63,7 @@ def test_the_corrected_stiffness_has_the_frequencies_of_the_body():
     mesh = bar((24, 3, 2), (1.0, 0.12, 0.08))
     mass = lumped_mass(mesh.vertices, mesh.tetrahedra, CORK.density)
     squares, modes = linear_modes(mesh, CORK, mass, 5)
-    correction = stiffness_correction(mesh, CORK, mass, modes, squares)
+    correction = stiffness_correction(mesh, CORK, mass, modes, squares, 5)
     fine = frequencies(refine(mesh), CORK, refinements=0, count=5)
     converged = np.sort(correction.converged)
     np.testing.assert_allclose(converged, fine[-1].hertz, rtol=0.01)
