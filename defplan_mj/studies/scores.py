@@ -4,7 +4,7 @@
 
 writes scores.csv (a row a task and policy) and curves.csv (reward over decisions, while PPO and SAC learn) into
 FOLDER, and prints the table of docs/suite.md. A score is the mean reward of a step, in [0, 1], over whole episodes
-of 40 s that no learning has seen.
+of 40 s that no learning has seen; of navigation it is the share of unseen scenes whose target is reached.
 """
 
 from __future__ import annotations
@@ -20,9 +20,11 @@ from typing import Any
 import numpy as np
 
 from defplan_mj import registry
+from defplan_mj.base.statistics import wilson_interval
 from defplan_mj.log.tables import write_table
 from defplan_mj.planning.fit import fit_surrogate
 from defplan_mj.planning.robot import Robot
+from defplan_mj.studies import scores_navigate
 from defplan_mj.studies.check import packaged_robot
 
 TASKS = {
@@ -53,8 +55,8 @@ class Score:
     """What a policy gets on a task.
 
     Attributes:
-        mean: reward of a step over all episodes, in [0, 1].
-        half: of the 95% interval of the mean over the episodes.
+        mean: reward of a step over all episodes, in [0, 1]; of navigation the share that arrives.
+        half: of the 95% interval of the mean over the episodes; of a share, of Wilson's.
         decisions, steps: of all robots, in learning.
         seconds: CPU time of learning.
         curve: (decisions, mean reward of a step) while it learned.
@@ -96,6 +98,8 @@ def score(task: str, policy: str, decisions: int | None = None, robots: int = RO
         policy: of `POLICIES`.
         decisions: of all robots in learning; if not given, what docs/suite.md has.
     """
+    if task in scores_navigate.TASKS:
+        return _navigated(task, policy, decisions)
     learned: dict[str, Any] = {}
     if policy in _DECISIONS:
         begun = time.process_time()
@@ -114,6 +118,25 @@ def score(task: str, policy: str, decisions: int | None = None, robots: int = RO
     rewards = episodes(task, act, robots)
     half = 1.96 * float(rewards.std(ddof=1)) / np.sqrt(len(rewards))
     return Score(task, policy, float(rewards.mean()), float(half), **learned)
+
+
+def _navigated(task: str, policy: str, decisions: int | None) -> Score:
+    learned: dict[str, Any] = {}
+    if policy == "ppo":
+        begun, count = time.process_time(), decisions or scores_navigate.DECISIONS
+        spec = registry.get_task(scores_navigate.TASKS[task])
+        choose, curve = scores_navigate.learned(task, count, SEED)
+        learned = {
+            "decisions": count,
+            "steps": count * spec.steps_per_cycle,
+            "seconds": time.process_time() - begun,
+            "curve": curve,
+        }
+    else:
+        choose = scores_navigate.unknowing(task, SEED)
+    reached = scores_navigate.arrivals(task, choose, EPISODE_SEED, scores_navigate.EPISODES)
+    low, high = wilson_interval(int(reached.sum()), len(reached))
+    return Score(task, policy, float(reached.mean()), 0.5 * (high - low), **learned)
 
 
 def _unknowing(policy: str, task: str) -> Act:
@@ -229,13 +252,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         prog="python -m defplan_mj.studies.scores", description=__doc__
     )
     parser.add_argument("folder", nargs="?", type=Path, default=Path())
-    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
+    tasks = [*TASKS, *scores_navigate.TASKS]
+    parser.add_argument("--tasks", nargs="+", choices=tasks, default=tasks)
     parser.add_argument("--policies", nargs="+", choices=POLICIES, default=list(POLICIES))
     parser.add_argument("--decisions", type=int, help="of all robots in learning")
     options = parser.parse_args(arguments)
     scores = []
     for task in options.tasks:
-        for policy in options.policies:
+        known = scores_navigate.POLICIES if task in scores_navigate.TASKS else POLICIES
+        for policy in (name for name in options.policies if name in known):
             scores.append(score(task, policy, options.decisions))
             print(
                 f"{task} {policy}: {scores[-1].mean:.3f}, {scores[-1].seconds:.0f} CPU s",

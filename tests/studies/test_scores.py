@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from defplan_mj import suite
-from defplan_mj.studies import scores
+from defplan_mj.studies import scores, scores_navigate
 
 
 @pytest.fixture(autouse=True)
@@ -54,6 +54,25 @@ def test_learning_has_a_curve_and_is_the_same_again(policy, decisions, tmp_path,
     with open(tmp_path / "curves.csv") as stream:
         (row,) = csv.DictReader(stream)
     assert float(row["reward"]) == pytest.approx(first.curve[0][1], abs=1e-4)
+
+
+def test_ppo_on_navigation_chooses_gaits_and_repeats(monkeypatch):
+    monkeypatch.setattr(scores_navigate, "EPISODES", 2)
+    first, again = (scores.score("FishNavigate", "ppo", 2048) for _ in range(2))
+    assert first.curve == again.curve and first.mean == again.mean
+    assert [n for n, _ in first.curve] == [2048] and first.steps == 32 * 2048
+    known = scores.score("FishNavigate", "random")
+    assert 0.0 <= known.mean <= 1.0 and known.half > 0.0 and known.curve == []
+
+
+def test_an_arrival_is_the_suite_s_own_success():
+    forward = scores_navigate.arrivals("FishNavigate", lambda observation: 0, 40, 3)
+    for i, reached in enumerate(forward):
+        env = suite.load("fish", "navigate", {"random": 40 + i})
+        step = env.reset()
+        while not step.last():
+            step = env.step(0)
+        assert reached == (env.task.outcome == "success")
 
 
 def test_the_table_has_a_row_a_task_and_a_column_a_policy():
