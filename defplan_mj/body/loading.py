@@ -34,7 +34,7 @@ SMALL, LARGE = 0.02, 20.0  # m: an extent beyond is rarely meant
 _MANY = 80_000  # triangles; a surface with more is simplified first
 _THIN = 0.5  # of a lattice cell: mean thickness below which the lattice is not tried
 _ENVELOPE = 2e-3  # of the diagonal, at most
-_SIMPLIFIED = 2.5e-3  # of the length: how far a simplified surface may be from its own
+_SIMPLIFIED = 0.6  # of the bound on the mesh: how far a simplified surface may be from its own
 _FEW = 0.6  # of the wanted vertices: with fewer it is filled again, finer
 _CRUMB = 1e-3  # share of the volume
 _SHAPING = ("vertices", "length", "up", "forward", "strict", "shape_error")
@@ -283,7 +283,9 @@ def _fill_within(repaired: Repaired, path: Path, options: BodyOptions, said: lis
         again = best is not None and not best[1].within(bound)
         narrow = envelope * (0.3 if again else 1.0)
         simple = _simplified(
-            surface, int((2.5 if again else 1.25) * options.vertices), extent.max()
+            surface,
+            int((2.5 if again else 1.25) * options.vertices),
+            (0.5 if again else 1.0) * _SIMPLIFIED * bound * extent.max(),
         )
         try:
             mesh = run_tetwild(simple, wanted, narrow, str(path), left)
@@ -311,14 +313,17 @@ def _child_seconds() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def _simplified(surface: Surface, count: int, length: float) -> Surface:
-    """Return the surface with about `count` triangles, or as many as keep it like itself."""
+def _simplified(surface: Surface, count: int, near: float) -> Surface:
+    """Return the surface with about `count` triangles, or as many as keep it within `near`, m, of itself.
+
+    fTetWild's time goes with them: a cow took 21 s in place of 47 when they were half as many.
+    """
     count = max(count, 500)
     while count < len(surface.faces):
         fewer = decimate(surface, count)
         if len(fewer.faces) and max(
             distances(surface, fewer)[0].max(), distances(fewer, surface)[0].max()
-        ) < _SIMPLIFIED * length:  # fmt: skip
+        ) < near:  # fmt: skip
             return fewer
         count *= 2
     return surface
