@@ -11,4 +11,7 @@ def wilson_interval(count: int, n: int) -> tuple[float, float]:
     rate, weight = count / n, z * z / n
     centre = (rate + weight / 2) / (1 + weight)
     half = z / (1 + weight) * np.sqrt(rate * (1 - rate) / n + weight / (4 * n))
-    return max(0.0, float(centre - half)), min(1.0, float(centre + half))
+    # at the ends exactly, whatever is rounded
+    low = 0.0 if count == 0 else float(centre - half)
+    high = 1.0 if count == n else float(centre + half)
+    return low, high
