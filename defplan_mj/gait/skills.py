@@ -12,11 +12,11 @@ from defplan_mj.base.space import SPACES
 from defplan_mj.gait.switching import Switching
 from defplan_mj.task import GaitTask
 
-ENOUGH = 0.5
-"""Share of the wanted size that a gait has to reach."""
+ENOUGH = 1.0 / 3.0
+"""Share of the wanted size that a gait has to reach: what is wanted of guessed tasks is twice what trials reached."""
 MOST_FALLS = 0.1
 """Share of its cycles that may fall."""
-VERSION = 2
+VERSION = 3
 """Of this judgement: what was judged otherwise is judged anew."""
 
 
@@ -50,7 +50,7 @@ class Skill:
 def judge(measured: Switching) -> list[Skill]:
     """Return a verdict on each gait: sign and size, spread, and falls, of what its task wants most.
 
-    That is its turn if it wants one, else its advance. It has failed if it goes the other way, under half
+    That is its turn if it wants one, else its advance. It has failed if it goes the other way, under a third
     as far, or varies by more than its mean from cycle to cycle, or if more than a tenth of its cycles fall.
     """
     level = measured.place.level
@@ -76,7 +76,7 @@ def _fault(task: GaitTask, wanted: dict[str, float], got: dict[str, Any]) -> str
     if mean * want <= 0:
         return f"{verb} the wrong way: {mean:+.2f} {unit} a cycle, wanted {want:+.2f}"
     if abs(mean) < ENOUGH * abs(want):
-        return f"{verb} {abs(mean):.2f} {unit} a cycle, under half of the {abs(want):.2f} wanted"
+        return f"{verb} {abs(mean):.2f} {unit} a cycle, under a third of the {abs(want):.2f} wanted"
     if spread > abs(mean):
         return f"{verb} {abs(mean):.2f} {unit} a cycle, but varies by {spread:.2f}"
     return ""
@@ -101,6 +101,16 @@ def can_steer(tasks: Sequence[GaitTask], space: str, axis: Sequence[float]) -> b
         return False
     gaps = np.diff([*ways, ways[0] + 2 * np.pi])
     return bool(gaps.max() < np.pi - 1e-6)
+
+
+def goes(skills: Iterable[Skill]) -> bool:
+    """Return whether one of the gaits that do what they are called gets on: that all only turn is no way."""
+    return any(
+        skill.kept
+        and skill.wanted["advance_m"]
+        and (skill.got["advance_m"] or 0.0) >= ENOUGH * skill.wanted["advance_m"]
+        for skill in skills
+    )
 
 
 def faults(skills: Iterable[Skill]) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.reading import read_json
-from defplan_mj.gait.skills import Skill, can_steer, faults, judge
+from defplan_mj.gait.skills import Skill, can_steer, faults, goes, judge
 from defplan_mj.pipeline.store import write_json
 
 if TYPE_CHECKING:
@@ -130,7 +130,9 @@ def _without_failed(
     while True:  # without those that failed the others may do otherwise
         names = [name for name in chosen.task_names if verdicts[name].kept]
         left = spec.of_gaits(names).gait_tasks
-        steers = not faults(verdicts.values()) or can_steer(left, spec.navigation.space, spec.axis)
+        steers = not faults(verdicts.values()) or (
+            can_steer(left, spec.navigation.space, spec.axis) and goes(verdicts.values())
+        )
         if not steers or len(names) == len(chosen.task_names):
             break
         chosen = best.gait.of_tasks(names)
