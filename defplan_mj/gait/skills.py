@@ -13,7 +13,7 @@ from defplan_mj.gait.switching import Switching
 from defplan_mj.task import GaitTask
 
 ENOUGH = 1.0 / 3.0
-"""Share of the wanted size that a gait has to reach: what is wanted of guessed tasks is twice what trials reached."""
+"""Share of the wanted size that a gait has to reach; guessed tasks want twice what trials reached."""
 MOST_FALLS = 0.1
 """Share of its cycles that may fall."""
 VERSION = 3
