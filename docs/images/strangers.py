@@ -21,7 +21,7 @@ from defplan_mj.study.table import Row, read_parquet
 COLUMNS = 4
 HEAD = (
     "| mesh | vertices / modes / gaits | m, rad a cycle | training targets | unseen scenes"
-    " | without the check | stages, wall | what failed |"
+    " | without the check | all of it, wall | what failed |"
 )
 
 
@@ -51,7 +51,8 @@ def line(row: Row) -> str:
         else f"{row[f'{n}_success']:.0%} of {row[f'{n}_episodes']}"
         for n in names
     ]
-    wall = "–" if not row["total_seconds"] else f"{row['total_seconds'] / 60:.1f} min"
+    seconds = (row["total_seconds"] or 0.0) + (row["guess_seconds"] or 0.0)
+    wall = f"{seconds / 60:.1f} min" if row["total_seconds"] else "–"
     fault = f"{row['failed_in']}: {row['error']}" if row["failed"] else ""
     return f"| {row['task']} | {size} | {moves or '–'} | {' | '.join(shares)} | {wall} | {fault} |"
 
