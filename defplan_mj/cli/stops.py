@@ -31,6 +31,7 @@ class Stops:
     def __init__(self) -> None:
         self.received: int | None = None
         self._before: dict[int, Any] = {}
+        self._unraisable: Any = None
 
     @property
     def code(self) -> int:
@@ -48,6 +49,13 @@ class Stops:
             self._before.clear()
         if self._before and signal.getsignal(signal.SIGALRM) is signal.SIG_DFL:
             self._before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._again)
+        if self._before:
+            self._unraisable, sys.unraisablehook = sys.unraisablehook, self._tell_unraisable
+
+    def _tell_unraisable(self, lost: Any) -> None:
+        """Tell of an exception that a destructor dropped, but not of a stop: it is raised again."""
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            self._unraisable(lost)
 
     def end_with_code(self) -> None:
         """Let this process end with `code` after a stop, whatever it interrupted.
@@ -78,6 +86,8 @@ class Stops:
         for number, before in self._before.items():
             signal.signal(number, before)
         self._before.clear()
+        if self._unraisable is not None:
+            sys.unraisablehook, self._unraisable = self._unraisable, None
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
         if self.received is None:

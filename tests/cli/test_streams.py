@@ -133,6 +133,38 @@ def test_a_stop_that_is_swallowed_comes_again(listening, monkeypatch):
     assert swallowed == 1 and listening.code == 143
 
 
+class _Dropping:
+    """Something whose destructor takes its time, and fails or is stopped."""
+
+    def __init__(self, error: Exception | None = None) -> None:
+        self.error = error
+
+    def __del__(self) -> None:
+        if self.error is not None:
+            raise self.error
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5)
+
+
+def test_a_stop_that_a_destructor_drops_comes_again_and_is_no_error(monkeypatch):
+    monkeypatch.setattr("defplan_mj.cli.stops.AGAIN_SECONDS", 0.05)
+    told = list[str]()
+    hook = lambda lost: told.append(str(lost.exc_value))  # noqa: E731
+    monkeypatch.setattr(sys, "unraisablehook", hook)
+    stops = Stops()
+    stops.listen()
+    try:
+        one = _Dropping(ValueError("of its own"))
+        del one
+        with pytest.raises(Terminated):
+            other = _Dropping()
+            del other
+            time.sleep(5)
+    finally:
+        stops.leave()
+    assert told == ["of its own"] and sys.unraisablehook is hook
+
+
 def test_a_stop_does_not_come_again_while_somebody_cleans_up(listening, monkeypatch):
     monkeypatch.setattr("defplan_mj.cli.stops.AGAIN_SECONDS", 0.05)
     cleaned = False
