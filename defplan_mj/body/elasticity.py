@@ -82,12 +82,12 @@ def moving_modes(
     """
     looked = count
     values, modes = linear_modes(mesh, material, mass, looked)
-    most = min(_MOST_LOOKED, 3 * len(mass) - 7)
-    while moved and looked < most and np.sum(moved_share(modes, mass) >= moved) < count:
-        looked = min(2 * looked, most)
-        values, modes = linear_modes(mesh, material, mass, looked)
     if not moved:
         return values, modes, np.arange(count) + 1
+    most = min(_MOST_LOOKED, 3 * len(mass) - 7)
+    while looked < most and np.sum(moved_share(modes, mass) >= moved) < count:
+        looked = min(2 * looked, most)
+        values, modes = linear_modes(mesh, material, mass, looked)
     share = moved_share(modes, mass)
     enough = np.flatnonzero(share >= moved)[:count]
     rest = np.setdiff1d(np.argsort(-share, kind="stable"), enough, assume_unique=True)

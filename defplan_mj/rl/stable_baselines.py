@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 
 
@@ -79,6 +80,15 @@ class ManyRobots(VecEnv):
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """Return that none is."""
         return [False] * self.num_envs
+
+
+def learn(model: Any, envs: Any, decisions: int, every: int) -> list[tuple[int, float]]:
+    """Let a model learn in normalised environments, which are left as it knows them; return its curve."""
+    model.set_logger(Logger(None, []))  # else it makes a folder among the temporary files
+    curve = Curve(every)
+    model.learn(decisions, callback=curve)
+    envs.training = False
+    return curve.rows
 
 
 class Curve(BaseCallback):

@@ -102,15 +102,9 @@ def score(task: str, policy: str, decisions: int | None = None, robots: int = RO
         return _navigated(task, policy, decisions)
     learned: dict[str, Any] = {}
     if policy in _DECISIONS:
-        begun = time.process_time()
-        count = decisions or _DECISIONS[policy]
-        act, curve = _learned(task, policy, count)
-        learned = {
-            "decisions": count,
-            "steps": count * _REPEAT,
-            "seconds": time.process_time() - begun,
-            "curve": curve,
-        }
+        act, learned = _timed(
+            lambda count: _learned(task, policy, count), decisions or _DECISIONS[policy], _REPEAT
+        )
     elif policy == "gaits":
         act = _steered(packaged_robot(registry.get_task(TASKS[task])), robots)
     else:
@@ -120,18 +114,29 @@ def score(task: str, policy: str, decisions: int | None = None, robots: int = RO
     return Score(task, policy, float(rewards.mean()), float(half), **learned)
 
 
+def _timed(
+    learn: Callable[[int], tuple[Any, list[tuple[int, float]]]], decisions: int, steps: int
+) -> tuple[Any, dict[str, Any]]:
+    """Return what was learned, and the fields of a `Score` on that; `steps` of a decision."""
+    begun = time.process_time()
+    policy, curve = learn(decisions)
+    seconds = time.process_time() - begun
+    return policy, {
+        "decisions": decisions,
+        "steps": decisions * steps,
+        "seconds": seconds,
+        "curve": curve,
+    }
+
+
 def _navigated(task: str, policy: str, decisions: int | None) -> Score:
     learned: dict[str, Any] = {}
     if policy == "ppo":
-        begun, count = time.process_time(), decisions or scores_navigate.DECISIONS
-        spec = registry.get_task(scores_navigate.TASKS[task])
-        choose, curve = scores_navigate.learned(task, count, SEED)
-        learned = {
-            "decisions": count,
-            "steps": count * spec.steps_per_cycle,
-            "seconds": time.process_time() - begun,
-            "curve": curve,
-        }
+        choose, learned = _timed(
+            lambda count: scores_navigate.learned(task, count, SEED),
+            decisions or scores_navigate.DECISIONS,
+            registry.get_task(scores_navigate.TASKS[task]).steps_per_cycle,
+        )
     else:
         choose = scores_navigate.unknowing(task, SEED)
     reached = scores_navigate.arrivals(task, choose, EPISODE_SEED, scores_navigate.EPISODES)
@@ -179,10 +184,9 @@ def _steered(robot: Robot, robots: int) -> Act:
 def _learned(task: str, policy: str, decisions: int) -> tuple[Act, list[tuple[int, float]]]:
     import torch
     from stable_baselines3 import PPO, SAC
-    from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.vec_env import VecNormalize
 
-    from defplan_mj.rl.stable_baselines import Curve, ManyRobots
+    from defplan_mj.rl.stable_baselines import ManyRobots, learn
 
     torch.set_num_threads(1)
     robots = ManyRobots(f"defplan/{task}-v0", _LEARNING_ROBOTS, SEED, _REPEAT, time_limit=_SECONDS)
@@ -195,10 +199,7 @@ def _learned(task: str, policy: str, decisions: int) -> tuple[Act, list[tuple[in
     else:
         # few updates: with as many as decisions it would take hours
         model = SAC("MlpPolicy", envs, train_freq=1, gradient_steps=2, batch_size=256, **common)
-    model.set_logger(Logger(None, []))  # else it makes a folder among the temporary files
-    curve = Curve(4096)
-    model.learn(decisions, callback=curve)
-    envs.training = False
+    curve = learn(model, envs, decisions, 4096)
     last = np.zeros((0, 0))
 
     def act(observations: np.ndarray, step: int) -> np.ndarray:
@@ -208,7 +209,7 @@ def _learned(task: str, policy: str, decisions: int) -> tuple[Act, list[tuple[in
             last = np.clip(model.predict(normal, deterministic=True)[0], -1.0, 1.0)
         return last
 
-    return act, curve.rows
+    return act, curve
 
 
 def table(scores: Sequence[Score]) -> str:

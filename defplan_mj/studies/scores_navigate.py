@@ -49,10 +49,9 @@ def learned(task: str, decisions: int, seed: int) -> tuple[Choose, list[tuple[in
     """Return what stable-baselines3's PPO has learned, and its curve: decisions, mean reward (Eq. 2) of one."""
     import torch
     from stable_baselines3 import PPO
-    from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-    from defplan_mj.rl.stable_baselines import Curve
+    from defplan_mj.rl.stable_baselines import learn
 
     torch.set_num_threads(1)
     make = lambda: gymnasium.make(f"defplan/{task}-v0", disable_env_checker=True)  # noqa: E731
@@ -61,13 +60,10 @@ def learned(task: str, decisions: int, seed: int) -> tuple[Choose, list[tuple[in
     model = PPO(
         "MlpPolicy", envs, n_steps=256, batch_size=256, gamma=_GAMMA, seed=seed, device="cpu"
     )
-    model.set_logger(Logger(None, []))  # else it makes a folder among the temporary files
-    curve = Curve(2048)
-    model.learn(decisions, callback=curve)
-    envs.training = False
+    curve = learn(model, envs, decisions, 2048)
     envs.close()
 
     def choose(observation: np.ndarray) -> int:
         return int(model.predict(envs.normalize_obs(observation), deterministic=True)[0])
 
-    return choose, curve.rows
+    return choose, curve

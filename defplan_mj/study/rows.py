@@ -61,6 +61,12 @@ def rate(rows: Sequence[Row], name: str, count: str) -> Estimate | None:
     return centre, min(low, least), max(high, most)
 
 
+def arrivals(rows: Sequence[Row]) -> list[Estimate | None]:
+    """Return the rates of arrival at training targets, in unseen scenes, and there without the check."""
+    kinds = ("k2", "novel", "novel_unchecked")
+    return [rate(rows, f"{kind}_success", f"{kind}_episodes") for kind in kinds]
+
+
 def mean(rows: Sequence[Row], name: str) -> Estimate | None:
     """Return a figure over seeds (`statistics.mean_over_seeds`); None if no row has it."""
     values = [float(row[name]) for row in rows if row[name] is not None]

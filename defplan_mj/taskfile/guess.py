@@ -250,7 +250,7 @@ def _with_modes(path: Path, options: BodyOptions) -> tuple[BodyOptions, np.ndarr
 
 
 def _as_tried(spec: TaskSpec, more: float, progress: Progress) -> TaskSpec:
-    """Return a task that wants `more` times what short trials of its body reached: half of it is asked for.
+    """Return a task that wants `more` times what short trials of its body reached: a third of it is asked for.
 
     At most what it wants already, and at least a twentieth of its length and of a radian a cycle. The slower
     it is, the later an episode times out.
