@@ -11,7 +11,7 @@ from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.report.content import duration, percent
 from defplan_mj.report.sections.paper import paper_calls
 from defplan_mj.study.measures import PUSH, falls
-from defplan_mj.study.rows import Estimate, arrivals, mean, rate
+from defplan_mj.study.rows import Estimate, arrival_rates, mean, rate
 from defplan_mj.study.sections import share
 from defplan_mj.study.table import SPEEDS, Row, moving_name
 from defplan_mj.task import TaskSpec
@@ -334,7 +334,7 @@ def tunnel(runs: Mapping[str, Sequence[Row]]) -> Claim:
     told: list[str] = []
     good: list[bool | None] = []
     for name, rows in runs.items():
-        figures = arrivals(rows)
+        figures = arrival_rates(rows)
         if figures[0] is None:
             continue
         good.append(figures[0][0] == 1.0)

@@ -35,7 +35,7 @@ from defplan_mj.report.sections.surrogate import table_three
 from defplan_mj.study.claims import CLAIMS, Robot, open_loop, tunnel
 from defplan_mj.study.findings import Findings
 from defplan_mj.study.measures import measured
-from defplan_mj.study.rows import arrivals, mean
+from defplan_mj.study.rows import arrival_rates, mean
 from defplan_mj.study.sections import moving, share
 from defplan_mj.study.table import Row
 from defplan_mj.taskfile.find import find_task
@@ -281,7 +281,7 @@ def _figure_seven(findings: Findings, places: Sequence[str]) -> Section:
         spec = find_task(source)
         mine = _in_places(findings, [source])
         for own in mine.values():
-            told = [share(figure) if figure else "–" for figure in arrivals(own)]
+            told = [share(figure) for figure in arrival_rates(own)]
             rows.append([spec.name, own[0]["planner"], spec.navigation.scenes, *told])
         first = next(iter(mine.values()), [])
         if first and (logs := _logs(findings.root / first[0]["folder"])):

@@ -61,7 +61,7 @@ def rate(rows: Sequence[Row], name: str, count: str) -> Estimate | None:
     return centre, min(low, least), max(high, most)
 
 
-def arrivals(rows: Sequence[Row]) -> list[Estimate | None]:
+def arrival_rates(rows: Sequence[Row]) -> list[Estimate | None]:
     """Return the rates of arrival at training targets, in unseen scenes, and there without the check."""
     kinds = ("k2", "novel", "novel_unchecked")
     return [rate(rows, f"{kind}_success", f"{kind}_episodes") for kind in kinds]

@@ -27,6 +27,7 @@ from defplan_mj.study import figures
 from defplan_mj.study.findings import Findings
 from defplan_mj.study.rows import (
     Estimate,
+    arrival_rates,
     gait_cost,
     grouped,
     mean,
@@ -60,7 +61,7 @@ def arrivals(findings: Findings) -> Section | None:
     dots: dict[str, dict[str, Estimate]] = {}
     for task, methods in groups.items():
         for label, own in methods.items():
-            novel = rate(own, "novel_success", "novel_episodes")
+            trained, novel, unchecked = arrival_rates(own)
             if novel is None:
                 continue
             dots.setdefault(task, {})[label] = novel
@@ -69,9 +70,9 @@ def arrivals(findings: Findings) -> Section | None:
                 [
                     f"{task}: {label}",
                     f"{len(own)}" + (f" ({failed} failed)" if failed else ""),
-                    share(rate(own, "k2_success", "k2_episodes")),
+                    share(trained),
                     share(novel),
-                    share(rate(own, "novel_unchecked_success", "novel_unchecked_episodes")),
+                    share(unchecked),
                     figure(mean(own, "novel_cycles"), 1),
                     figure(mean(own, "novel_decision"), 2),
                 ]
