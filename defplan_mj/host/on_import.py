@@ -1,5 +1,6 @@
-"""Load the engine plugin as soon as MuJoCo is imported: a model of ours without it crashes the process.
+"""What `import defplan_mj` sees to, so that no process crashes: MuJoCo gets our plugin, triton is kept out.
 
+A model of ours without the engine plugin crashes the process, so it is loaded as soon as MuJoCo is imported.
 MuJoCo does not notice that the plugin of a saved or pickled model is missing. After `import defplan_mj`,
 whoever imports MuJoCo, before or after, has the plugin; until then this module costs nothing.
 """
@@ -11,7 +12,10 @@ import importlib.machinery
 import importlib.util
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from types import ModuleType
+
+_GPUS = "/dev/nvidiactl", "/dev/kfd"
 
 
 def load_plugin_with_mujoco() -> None:
@@ -20,6 +24,16 @@ def load_plugin_with_mujoco() -> None:
         _load()
     elif not any(isinstance(finder, _Watch) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Watch())
+
+
+def keep_triton_out() -> None:
+    """Let torch do without triton where no GPU is, as its builds for the CPU do.
+
+    torch's usual build brings it and loads it with the first optimiser. Its LLVM and that of the software renderer
+    that dm_control opens crash each other (seen with torch 2.13 and Mesa's EGL). Without a GPU it has no use.
+    """
+    if not any(Path(gpu).exists() for gpu in _GPUS):
+        sys.modules.setdefault("triton", None)  # type: ignore[arg-type]
 
 
 def _load() -> None:

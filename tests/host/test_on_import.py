@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 
 from defplan_mj.host.scene import build_spec, compile_model
 from tests.samples import host as samples
+from tests.samples.paths import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +78,25 @@ def test_whichever_module_comes_first_the_plugin_is_loaded_once(saved, first):
     )
     assert done.returncode == 0, done.stderr
     np.testing.assert_array_equal(np.frombuffer(bytes.fromhex(done.stdout.strip())), expected)
+
+
+@pytest.mark.parametrize("gpu", [False, True])
+def test_triton_is_kept_out_where_there_is_no_gpu(gpu, tmp_path):
+    """A stand-in for triton is on the path; an optimiser would load it through torch's dynamo."""
+    (tmp_path / "triton.py").write_text("loaded = True\n")
+    code = (
+        "import sys\n"
+        "from defplan_mj.host import on_import\n"
+        f"on_import._GPUS = ({str(tmp_path)!r},) if {gpu} else ()\n"
+        "sys.modules.pop('triton', None)\n"
+        "on_import.keep_triton_out()\n"
+        "try:\n    import triton\nexcept ModuleNotFoundError:\n    print('out')\n"
+        "else:\n    print('in')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"},
+    )
+    assert done.stdout.strip() == ("in" if gpu else "out"), done.stderr
