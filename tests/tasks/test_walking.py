@@ -38,7 +38,7 @@ PACKAGED = {
     ),
 }
 SLIP = {"quadruped": 0.3, "tee": 0.35}  # of the way walked, at most
-STAGES = Walking(starts=2, alone=((2, 12, 1), (3, 4, 1)), rounds=((2, 4, 14),), repairs=0)
+STAGES = Walking(starts=3, alone=((2, 12, 2), (3, 8, 1)), rounds=((2, 4, 20),), repairs=0)
 QUICK = Shooting(walking=STAGES)
 
 
@@ -53,7 +53,7 @@ def problem() -> GaitProblem:
 
 @pytest.fixture(scope="module")
 def gait(problem: GaitProblem) -> Gait:
-    # so short a training leaves the belly on the ground with seed 0
+    # with this much training seeds 0 to 3 walk; a shorter one hung on the last bits of the body
     return QUICK.solve(problem, seed=1)
 
 
