@@ -200,8 +200,8 @@ def stops(folder: Path, asked: int, seconds: float) -> Part:
     found = stopping.stop_at_random(folder, asked, wanted, whole, seed=0, until=until)
     part.done, part.faults = found.stops, found.faults
     part.note = (
-        f"{found.compared} resumed runs equal to the bit, slowest stop {found.slowest:.1f} s"
-        f" ({found.during})"
+        f"{found.early} before the command was loaded; {found.compared} resumed runs equal to the bit,"
+        f" slowest stop {found.slowest:.1f} s ({found.during})"
     )
     return part
 
