@@ -286,6 +286,12 @@ def bench_text(data: dict[str, Any]) -> str:
         f"{is_of['task']}: {is_of['vertices']} vertices, r = {is_of['modes']}, k = {is_of['basis']},"
         f" time step {is_of['timestep_s']} s; an empty call takes {data['empty_call_us']:.2f} µs",
     ]
+    if vector := data["vector_environment_steps_per_s"]:
+        lines.insert(
+            2,
+            f"{is_of['vector_environments']} robots on {is_of['cores']} cores take {vector['smooth']} control"
+            f" steps a second under smooth actions, {vector['random']} under random ones",
+        )
     errors = [
         [
             row["name"],

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from defplan_mj import registry
+from defplan_mj import registry, suite
 from defplan_mj.base import threads
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.base.space import PLANE, SPACE
@@ -32,12 +32,14 @@ from defplan_mj.planning.scene import Scene
 from defplan_mj.planning.scenes import novel_scenes, training_scenes
 from defplan_mj.planning.surrogate import Surrogate
 from defplan_mj.planning.surrogate_env import SurrogateEnv
+from defplan_mj.rl.many import KernelVectorEnv
 from defplan_mj.studies.bench_integrators import error_against_time, integrators
 from defplan_mj.studies.timing import Timing, measure
 from defplan_mj.task import Navigation, TaskSpec
 
 OBSTACLES = 10
 ENVIRONMENTS = 256
+VECTOR_ENVIRONMENTS = 512
 _GEOM_TYPES = {"sphere": 2, "cylinder": 5}  # MuJoCo's
 VIGOUR = 0.9  # of the largest amplitude a gait may ask for
 
@@ -181,6 +183,7 @@ def bench(
     progress("bench: environment", 0.3)
     environment = _environment(robot, spec.navigation, scene)
     cycle = _environment_cycles(environment, 200 // few)
+    vector = vector_steps_per_s(spec.name, 200 // few)
 
     progress("bench: surrogate", 0.4)
     surrogate = _transition(spec, body, gait, dynamics, 100 // few + 5)
@@ -214,6 +217,7 @@ def bench(
         },
         "clearance_us": round(clearance.median * 1e6, 1),
         "environment_step_us": cycle.scaled(1e-6 * per_cycle, 1),
+        "vector_environment_steps_per_s": vector,
         "environment_real_time_factor": round(gait.cycle_seconds / cycle.median, 1),
         "empty_call_us": round(empty.median * 1e6, 2),
         "error_against_time": [dataclasses.asdict(row) for row in rows],
@@ -227,6 +231,8 @@ def bench(
             "obstacles": OBSTACLES,
             "beams": spec.navigation.beams,
             "surrogate_environments": ENVIRONMENTS,
+            "vector_environments": VECTOR_ENVIRONMENTS,
+            "cores": threads.available_cores(),
             "quick": quick,
         },
     }
@@ -314,6 +320,39 @@ def _cycle(environment: Any) -> tuple[float, float]:
     before, start = environment.physics.time(), time.perf_counter()
     environment.step(0)
     return time.perf_counter() - start, environment.physics.time() - before
+
+
+def vector_steps_per_s(name: str, repeats: int) -> dict[str, int] | None:
+    """Return control steps a second of the suite's vector environment, on all cores; None if it has none.
+
+    Args:
+        name: of a task; the suite's is the one whose domain and task it names, such as 'fish-swim'.
+        repeats: steps of all robots.
+
+    Returns:
+        Of 'smooth' actions, sines of half the amplitude, and of 'random' ones, drawn anew each step, on
+        which the solver has more to do.
+    """
+    domain, _, task = name.partition("-")
+    if (domain, task) not in suite.ALL_TASKS:
+        return None
+    env = KernelVectorEnv(domain, task, VECTOR_ENVIRONMENTS)
+    rng, size = np.random.default_rng(0), env.action_space.shape
+    start, turns = rng.uniform(0, 2 * np.pi, size), 0.3 * np.arange(repeats)
+    actions = {
+        "smooth": [0.5 * np.sin(start + turn) for turn in turns],
+        "random": [rng.uniform(-1, 1, size) for _ in turns],
+    }
+    found = {}
+    for kind, each in actions.items():
+        env.reset(seed=0)
+        env.step(each[0])
+        begin = time.perf_counter()
+        for action in each:
+            env.step(action)
+        found[kind] = round(repeats * VECTOR_ENVIRONMENTS / (time.perf_counter() - begin))
+    env.close()
+    return found
 
 
 def _transition(

@@ -106,9 +106,16 @@ def test_all_promised_figures_are_there_and_the_table_shows_them(small_fish):
         assert data[name] > 0
     assert set(data["feedback_decision_us"]) == {"ilqg", "lqr"}
     assert set(data["feedback_real_time_factor"]) == {"ilqg", "lqr"}
+    vector = data["vector_environment_steps_per_s"]
+    assert vector["smooth"] > vector["random"] > 0
     decision, step = data["feedback_decision_us"]["ilqg"], data["reduced_step_us"]["fish"]
     assert (
         decision["median"] > 10 * step["median"]
     )  # its horizon alone is 5 steps, and more than once
     text = bench_text(data)
+    assert f"take {vector['smooth']} control steps a second" in text
     assert "reduced step" in text and "not to be quoted" in text
+
+
+def test_a_task_that_the_suite_does_not_have_has_no_vector_environment():
+    assert bench.vector_steps_per_s("shark-swim", 1) is None
