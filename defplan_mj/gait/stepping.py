@@ -27,7 +27,11 @@ _RIDGE = 0.05  # of the largest singular value of the feet's motion: less is no 
 _SHARPNESS = 1.0  # beta of each element
 _CHANCE = 8  # random gaits, for a body without feet
 _ALONE = 3  # cycles of a task alone, the first of which does not count
-_ITERATIONS = (10, 30, 20)  # of each start of a task alone, of the best of them, of all tasks together
+_ITERATIONS = (
+    10,
+    30,
+    20,
+)  # of each start of a task alone, of the best of them, of all tasks together
 _KEPT = 3  # starts that go on
 _SHARP = 0.15  # scale of beta
 
@@ -35,9 +39,9 @@ _SHARP = 0.15  # scale of beta
 def walking(problem: GaitProblem, seed: int, progress: Progress = no_progress) -> np.ndarray:
     """Return w (n_w,) of gaits that are switched.
 
-    Each task alone first: all gaits that step are optimised for some iterations, the best of them for more. Then all
-    tasks together over all pairs of them, one after the other, so that each can follow each other. Phases stay what
-    they are, which is the same in all gaits that step.
+    Each task alone first: all gaits that step are optimised for some iterations, the best of them for more.
+    Then all tasks together over all pairs of them, one after the other, so that each can follow each other.
+    Phases stay what they are, which is the same in all gaits that step.
     """
     rng, tasks = np.random.default_rng(seed), range(problem.n_tasks)
     message, share = "trying what the body can do", 1.0 / (problem.n_tasks + 1)
