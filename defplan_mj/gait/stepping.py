@@ -9,6 +9,7 @@ these shapes is another one.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -16,8 +17,7 @@ from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.dynamics.feet import Feet, lowest_feet
 from defplan_mj.gait.descent import THREADS, Descent
 from defplan_mj.gait.gait import dmp
-from defplan_mj.gait.problem import GaitProblem, balanced_sequence
-from defplan_mj.gait.switching import measure_cycles
+from defplan_mj.gait.problem import GaitProblem
 
 SOLES = 0.06  # of the height: what is as low is feet
 MOST_FEET = 16
@@ -25,60 +25,55 @@ SHARES = (0.45, 0.9)  # of the amplitude that the largest target shape takes
 LIFT = 0.5  # of a foot, in units of the longest sweep
 _RIDGE = 0.05  # of the largest singular value of the feet's motion: less is no way to move a foot
 _SHARPNESS = 1.0  # beta of each element
-_CHANCE = 4  # random gaits, for a body without feet
-_CYCLES = 24  # that patterns are compared in
-_TRIED, _ITERATIONS = (
-    2,
-    (6, 15),
-)  # patterns that are optimised; for how long each, and the best of them
+_CHANCE = 8  # random gaits, for a body without feet
+_ALONE = 3  # cycles of a task alone, the first of which does not count
+_ITERATIONS = (
+    10,
+    30,
+    20,
+)  # of each start of a task alone, of the best of them, of all tasks together
+_KEPT = 3  # starts that go on
 _SHARP = 0.15  # scale of beta
 
 
 def walking(problem: GaitProblem, seed: int, progress: Progress = no_progress) -> np.ndarray:
-    """Return w (n_w,) of gaits that are switched: of one pattern, so that each can follow each other.
+    """Return w (n_w,) of gaits that are switched.
 
-    Patterns are compared by how they get on while they are switched; the best are optimised for some iterations
-    over all pairs of tasks, one after the other.
+    Each task alone first: all gaits that step are optimised for some iterations, the best of them for more.
+    Then all tasks together over all pairs of them, one after the other, so that each can follow each other.
+    Phases stay what they are, which is the same in all gaits that step.
     """
     rng, tasks = np.random.default_rng(seed), range(problem.n_tasks)
-    sequence = np.array(balanced_sequence(problem.n_tasks, _CYCLES, rng))
-    starts = patterns(problem) or [problem.random_gait(rng) for _ in range(_CHANCE)]
-    if seed:  # another seed is another start
-        starts = [w + 0.1 * _jitter(problem, rng) for w in starts]
-    worth = [-progress_of(problem, w, sequence) for w in starts]
-    best = [starts[i] for i in np.argsort(worth, kind="stable")[:_TRIED]]
+    message, share = "trying what the body can do", 1.0 / (problem.n_tasks + 1)
+    parts = []
+    for j in tasks:
+        parts.append(_alone(problem.alone(j), seed, rng))
+        progress(message, share * len(parts))
+    mu, alphas, betas = zip(*parts, strict=True)
+    w = problem.join(mu[0], np.concatenate(alphas), np.concatenate(betas))
     pairs = [[i, j] for i in tasks for j in tasks]
-    descent = Descent(problem, pairs, settle=0, phases=False, sharp=_SHARP, threads=THREADS)
-    few, many = _ITERATIONS
-    tried = []
-    for done, w in enumerate(best, start=1):
-        tried.append(descent.improve(w, few))
-        progress("trying what the body can do", done / (len(best) + 2))
-    return descent.improve(min(tried, key=lambda pair: pair[0])[1], many)[1]
+    return _descent(problem, pairs, 0, THREADS).improve(w, _ITERATIONS[2])[1]
 
 
-def patterns(problem: GaitProblem) -> list[np.ndarray]:
-    """Return the gaits that step (`stepping_gaits`) of all tasks together, as w (n_w,); none if one has none."""
-    each = [list(stepping_gaits(problem.alone(j))) for j in range(problem.n_tasks)]
-    found = []
-    for same in zip(*each, strict=False):  # who has no feet has none at all
-        parts = [problem.alone(j).split(w) for j, w in enumerate(same)]
-        alphas, betas = (np.concatenate([part[i] for part in parts]) for i in (1, 2))
-        found.append(problem.join(parts[0][0], alphas, betas))
-    return found
+def _alone(
+    alone: GaitProblem, seed: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return mu, alpha, beta of the best gait found for one task."""
+    starts = list(stepping_gaits(alone)) or [alone.random_gait(rng) for _ in range(_CHANCE)]
+    if seed:  # another seed is another start
+        starts = [w + 0.1 * _jitter(alone, rng) for w in starts]
+    descent = _descent(alone, [[0] * _ALONE], 1, 1)
+    with ThreadPoolExecutor(THREADS) as pool:  # CasADi lets other threads run meanwhile
+        for iterations in _ITERATIONS[:2]:
+            tried = list(pool.map(lambda w, most=iterations: descent.improve(w, most), starts))
+            starts = [w for _, w in sorted(tried, key=lambda pair: pair[0])[:_KEPT]]
+    return alone.split(starts[0])
 
 
-def progress_of(problem: GaitProblem, w: np.ndarray, sequence: np.ndarray) -> float:
-    """Return how much of what is wanted cycles (n,) of tasks do, in the mean: at most 1, and -1 if they fall."""
-    measured = measure_cycles(problem, problem.gait(w, {}), sequence)
-    turns = np.array([task.turn[2] for task in problem.tasks])[sequence]
-    advances = np.array([task.advance for task in problem.tasks])[sequence]
-    share = np.where(
-        turns != 0,
-        measured.angle / np.where(turns, turns, 1.0),
-        measured.advance / np.where(advances, advances, 1.0),
-    )
-    return float(np.where(measured.fell, -1.0, np.clip(share, -1.0, 1.0)).mean())
+def _descent(
+    problem: GaitProblem, sequences: list[list[int]], settle: int, threads: int
+) -> Descent:
+    return Descent(problem, sequences, settle, phases=False, sharp=_SHARP, threads=threads)
 
 
 def _jitter(problem: GaitProblem, rng: np.random.Generator) -> np.ndarray:

@@ -59,8 +59,9 @@ def try_tasks(problem: GaitProblem, seed: int = 0, progress: Progress = no_progr
     """Return what a few iterations of L-BFGS-B make of the tasks, asked for much (`asking_much`).
 
     A swimmer's straightest task is tried from random gaits, and the others from what that came to, bent, in its
-    phases; a walker's all together while they are switched, from gaits that step (`gait.stepping`). It is
-    the problem's own objective, with a penalty for target shapes beyond the body's amplitude.
+    phases; a walker's from gaits that step, each alone and then all while they are switched
+    (`gait.stepping`). It is the problem's own objective, with a penalty for target shapes beyond the body's
+    amplitude.
 
     Args:
         progress: told the share that is done.

@@ -50,7 +50,8 @@ class Rhythm:
     """How long a gait cycle is, in units of the slowest natural period; see `rhythm`.
 
     Attributes:
-        fastest: of the first mode with the control stiffness in a body of 1 m, Hz; stiffer bodies are softened.
+        fastest: of the first mode with the control stiffness in a body of 1 m, Hz; stiffer bodies
+            are softened (on the ground none is).
         periods: a cycle, in periods of the first mode with the control stiffness.
         steps: control steps in a cycle, at least.
         finest: longest time step, in periods of the last mode with the control stiffness.
@@ -128,8 +129,8 @@ def guess_task(
         chosen = dataclasses.replace(BODIES[kind], length=size, up=view.up, forward=view.forward)
         progress("task: finding its natural frequencies", 0.3)
         chosen, hertz = _with_modes(path, chosen)
-    chosen, hertz = softened(kind, chosen, hertz, size)
     height = float(np.ptp(body.vertices[:, 2]))
+    chosen, hertz = stiffened(kind, chosen, hertz, size, height)
     timestep, steps = rhythm(kind, hertz, height)
     spec = TaskSpec(
         name=name or mesh_task_name(path, medium),
@@ -201,24 +202,34 @@ def rhythm(kind: str, hertz: Sequence[float] | np.ndarray, height: float) -> tup
     return float(f"{period / steps:.3g}"), steps
 
 
-def softened(
-    kind: str, options: BodyOptions, hertz: np.ndarray, length: float
+def stiffened(
+    kind: str, options: BodyOptions, hertz: np.ndarray, length: float, height: float
 ) -> tuple[BodyOptions, np.ndarray]:
-    """Return a swimmer's options, softened if its modes are faster than the shipped swimmer's, and its modes, Hz.
+    """Return options whose Young's modulus suits the body, and its modes, Hz.
 
-    What rights it, and its material's damping, go with time and not with its modes: a stiffer body is
-    tilted before it is righted, and overdamped. Sizes are compared at the same Froude number, that is
-    at frequencies that go with the inverse root of the length. The righting height goes with the length.
+    A swimmer is softened if its modes are faster than the shipped swimmer's: what rights it, and its
+    material's damping, go with time and not with its modes; a stiffer body is tilted before it is righted, and
+    overdamped. Sizes are compared at the same Froude number, that is at frequencies that go with the
+    inverse root of the length. A walker is stiffened if a cycle of its modes lasts longer than it takes to
+    fall over (`rhythm`): its legs do not carry it. The righting height goes with the length.
+
+    Args:
+        hertz: of the modes that are used, with the control stiffness.
+        length, height: of the body, m.
     """
     medium = options.medium
     medium = dataclasses.replace(medium, righting_height=medium.righting_height * length)
-    limit = RHYTHMS[kind].fastest / np.sqrt(length)
-    share = min(1.0, (limit / min(hertz)) ** 2)
-    if share == 1.0:
+    rule, slowest = RHYTHMS[kind], min(hertz)
+    if kind == "ground":
+        wanted = max(slowest, rule.periods / (rule.falling * np.sqrt(height / STANDARD_GRAVITY)))
+    else:
+        wanted = min(slowest, rule.fastest / np.sqrt(length))
+    if wanted == slowest:
         return dataclasses.replace(options, medium=medium), hertz
-    young = float(f"{options.material.youngs_modulus * share:.2g}")
-    material = dataclasses.replace(options.material, youngs_modulus=young)
-    faster = np.sqrt(young / options.material.youngs_modulus)
+    material = options.material
+    young = float(f"{material.youngs_modulus * (wanted / slowest) ** 2:.2g}")
+    faster = np.sqrt(young / material.youngs_modulus)
+    material = dataclasses.replace(material, youngs_modulus=young)
     return dataclasses.replace(options, medium=medium, material=material), hertz * faster
 
 

@@ -14,7 +14,7 @@ from defplan_mj.body.options import AXES, BodyOptions
 from defplan_mj.body.orientation import direction, frame_of, turned
 from defplan_mj.body.surface import Surface
 from defplan_mj.gait.skills import can_steer
-from defplan_mj.taskfile.guess import gait_tasks, guess_task, rhythm, softened
+from defplan_mj.taskfile.guess import gait_tasks, guess_task, rhythm, stiffened
 from tests.samples.meshes import finned
 
 
@@ -122,13 +122,22 @@ def test_the_rule_of_time_step_and_period_gives_what_the_shipped_tasks_have(name
 def test_a_stiff_swimmer_is_softened_to_the_rhythm_of_the_shipped_one():
     body = BodyOptions()
     for length in (0.5, 1.0, 4.0):
-        soft, hertz = softened("planar", body, np.array([20.0, 50.0]), length)
+        soft, hertz = stiffened("planar", body, np.array([20.0, 50.0]), length, 0.3)
         assert hertz[0] == pytest.approx(5.75 / np.sqrt(length), rel=0.05)
         assert soft.material.youngs_modulus == pytest.approx(1e6 * (hertz[0] / 20) ** 2)
         assert soft.medium.righting_height == pytest.approx(0.03 * length)
-    same, hertz = softened("planar", body, np.array([5.7, 20.0]), 1.0)
+    same, hertz = stiffened("planar", body, np.array([5.7, 20.0]), 1.0, 0.3)
     assert same == body and hertz[0] == 5.7
-    assert softened("ground", body, np.array([20.0]), 1.0)[0] == body
+    assert stiffened("ground", body, np.array([20.0]), 1.0, 0.7)[0] == body
+
+
+def test_a_walker_whose_legs_do_not_carry_it_is_stiffened_until_it_falls_slower_than_it_steps():
+    body = BodyOptions()
+    stiff, hertz = stiffened("ground", body, np.array([1.2, 3.0]), 1.0, 0.83)
+    factor = stiff.material.youngs_modulus / body.material.youngs_modulus
+    assert factor > 4 and hertz == pytest.approx(np.array([1.2, 3.0]) * np.sqrt(factor))
+    timestep, steps = rhythm("ground", hertz, 0.83)
+    assert timestep * steps == pytest.approx(2.6 * np.sqrt(0.83 / 9.81), rel=0.03)
 
 
 def test_a_body_with_fast_modes_has_more_steps_and_never_too_many():
