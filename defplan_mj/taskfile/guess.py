@@ -146,6 +146,7 @@ def guess_task(
         terrain=GROUND.terrain if kind == "ground" else None,
         gait_solver=registry.quick_solver("gait"),
         planner=registry.quick_solver("planner"),
+        feedback=registry.quick_solver("feedback") if kind == "ground" else "",
         effort=EFFORT,
         navigation=_navigation(kind, size),
     )

@@ -89,6 +89,7 @@ class LqrSolver:
     weigh: Weights = _WEIGHTS
     kind: ClassVar = "feedback"
     name: ClassVar = "lqr"
+    quick: ClassVar = True
     summary: ClassVar = (
         "linear gains along the gait's mean cycle, made once: the cheap relative of ilqg"
     )

@@ -166,11 +166,12 @@ def test_the_jellyfish_like_body_swims_in_space_as_its_task_does(monkeypatch):
     monkeypatch.setattr("defplan_mj.taskfile.guess._as_tried", lambda spec, *_: spec)
     shipped = registry.get_task("quadruped-swim")
     spec = guess_task(shipped.mesh, "water").spec
-    assert spec.navigation.space == "spatial" and spec.axis == shipped.axis
+    assert spec.navigation.space == "spatial" and spec.axis == shipped.axis and not spec.feedback
     for guessed, task in zip(spec.gait_tasks, shipped.gait_tasks, strict=True):
         assert guessed.name == task.name and guessed.turn == task.turn
         assert np.allclose(guessed.direction, task.direction)
     ground = guess_task(shipped.mesh, "ground", length=2.0)
     assert ground.spec.world.walks and ground.spec.body.length == 2.0
     assert ground.spec.navigation.distance == 12.0
+    assert ground.spec.feedback == registry.quick_solver("feedback") != ""
     assert "--length" in ground.sentence and "\n" not in ground.sentence
