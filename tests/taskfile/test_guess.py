@@ -14,7 +14,8 @@ from defplan_mj.body.options import AXES, BodyOptions
 from defplan_mj.body.orientation import direction, frame_of, turned
 from defplan_mj.body.surface import Surface
 from defplan_mj.gait.skills import can_steer
-from defplan_mj.taskfile.guess import gait_tasks, guess_task, rhythm, stiffened
+from defplan_mj.taskfile.guess import gait_tasks, guess_task
+from defplan_mj.taskfile.rhythm import rhythm, stiffened
 from tests.samples.meshes import finned
 
 
