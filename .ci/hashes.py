@@ -24,16 +24,16 @@ HEAD = """\
 
 def hashes(lines: list[str], version: str, folder: Path) -> dict[str, str]:
     """Return line -> SHA-256 of the wheel that pip chooses for a version of Python."""
-    wanted, report = folder / "wanted.txt", folder / "report.json"
-    wanted.write_text("\n".join(lines) + "\n")
+    requirements, report = folder / "wanted.txt", folder / "report.json"
+    requirements.write_text("\n".join(lines) + "\n")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed"]
     command += ["--no-deps", "--only-binary=:all:", "--implementation=cp", "--target", str(folder)]
-    command += [f"--python-version={version}", "--report", str(report), "-r", str(wanted)]
+    command += [f"--python-version={version}", "--report", str(report), "-r", str(requirements)]
     subprocess.run(command, check=True)
-    found = json.loads(report.read_text())["install"]
+    installed = json.loads(report.read_text())["install"]
     by_name = {
         _plain(one["metadata"]["name"]): one["download_info"]["archive_info"]["hashes"]["sha256"]
-        for one in found
+        for one in installed
     }
     return {line: by_name[_plain(line.partition("==")[0])] for line in lines}
 
@@ -42,17 +42,19 @@ def _plain(name: str) -> str:
     return name.lower().replace("_", "-").replace(".", "-")
 
 
-def write(found: list[dict[str, str]]) -> None:
+def write(versions: list[dict[str, str]]) -> None:
     """Write the file from what was found for each version of Python."""
     text = HEAD
-    for line in found[0]:
-        text += " \\\n    ".join([line, *(f"--hash=sha256:{h}" for h in _different(found, line))])
+    for line in versions[0]:
+        text += " \\\n    ".join(
+            [line, *(f"--hash=sha256:{h}" for h in _different(versions, line))]
+        )
         text += "\n"
     (ROOT / "requirements.hashes").write_text(text)
 
 
-def _different(found: list[dict[str, str]], line: str) -> list[str]:
-    return sorted({one[line] for one in found})
+def _different(versions: list[dict[str, str]], line: str) -> list[str]:
+    return sorted({one[line] for one in versions})
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import functools
 import re
 import subprocess
 import sys
@@ -44,6 +46,42 @@ def test_no_solver_is_named_in_the_harness():
         if (found := word.findall(path.read_text()))
     ]
     assert named == []
+
+
+@functools.cache
+def nodes() -> list[tuple[str, ast.AST]]:
+    """Return all of the harness's code: a file's name and line, and what stands there."""
+    return [
+        (f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}", node)
+        for path in sorted((ROOT / "defplan_mj").rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text()))
+    ]
+
+
+def test_no_call_spreads_a_tuple_that_is_written_in_it():
+    """Nor a list: `f(*(a, b), c=d)` only keeps the formatter from a line for each."""
+    calls = [(place, node) for place, node in nodes() if isinstance(node, ast.Call)]
+    spread = [
+        place
+        for place, node in calls
+        for argument in node.args
+        if isinstance(argument, ast.Starred) and isinstance(argument.value, ast.Tuple | ast.List)
+    ]
+    assert len(calls) > 1000 and spread == []
+
+
+def test_names_are_nouns():
+    """What was found, told or wanted is called by what it is."""
+    named = [
+        (place, node.arg if isinstance(node, ast.arg) else node.id)
+        for place, node in nodes()
+        if isinstance(node, ast.arg)
+        or (isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store))
+    ]
+    assert len(named) > 1000
+    participles = [place for place, name in named if name in ("found", "told", "wanted")]
+    # the attribute `Skill.wanted` is a key of the JSON
+    assert [place.partition(":")[0] for place in participles] == ["defplan_mj/gait/skills.py"]
 
 
 @pytest.mark.slow

@@ -38,11 +38,11 @@ def bounded(memory: int, seconds: float) -> Iterator[None]:
 def _memory(most: int) -> Iterator[None]:
     size = _size()
     before, hard = resource.getrlimit(resource.RLIMIT_AS)
-    wanted = size + most
-    if size == 0 or (before != resource.RLIM_INFINITY and before <= wanted):
+    limit = size + most
+    if size == 0 or (before != resource.RLIM_INFINITY and before <= limit):
         yield
         return
-    resource.setrlimit(resource.RLIMIT_AS, (wanted, hard))
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
     try:
         yield
     finally:

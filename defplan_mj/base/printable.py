@@ -26,7 +26,7 @@ def printable(text: str, lines: bool = False) -> str:
     Args:
         lines: line ends stay.
     """
-    return _UNSAFE.sub(lambda found: _written(found[0], lines), text)
+    return _UNSAFE.sub(lambda match: _written(match[0], lines), text)
 
 
 def _written(character: str, lines: bool) -> str:

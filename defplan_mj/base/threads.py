@@ -50,8 +50,8 @@ def limit_threads(n: int) -> None:
 def available_cores() -> int:
     """Return the number of cores this process may use: by its affinity, its cgroup's quota and SLURM."""
     here = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    told = os.environ.get("SLURM_CPUS_PER_TASK", "")  # SLURM need not bind what it has allotted
-    allotted = int(told) if told.isascii() and told.isdigit() and len(told) < 9 else 0
+    cores = os.environ.get("SLURM_CPUS_PER_TASK", "")  # SLURM need not bind what it has allotted
+    allotted = int(cores) if cores.isascii() and cores.isdigit() and len(cores) < 9 else 0
     return max(1, math.ceil(min(here, allotted or here, _quota())))
 
 
@@ -61,7 +61,7 @@ def _quota() -> float:
         lines = Path("/proc/self/cgroup").read_text().splitlines()
     except OSError:  # no Linux
         return math.inf
-    found = [math.inf]
+    limits = [math.inf]
     for line in lines:
         _, kinds, inside = line.split(":", 2)
         if not kinds or "cpu" in kinds.split(","):
@@ -69,10 +69,10 @@ def _quota() -> float:
             folder = root / inside.lstrip("/")
             # within a container the path may be the host's: then only the root is there
             for place in (folder, *folder.parents):
-                found.append(_limit(place))
+                limits.append(_limit(place))
                 if place == root:
                     break
-    return min(found)
+    return min(limits)
 
 
 def _limit(folder: Path) -> float:

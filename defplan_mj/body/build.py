@@ -78,10 +78,10 @@ def check_options(options: BodyOptions) -> None:
 
 def _told(options: BodyOptions) -> dict:
     """Return options as a body's file keeps them: the axes only if they are not the usual ones."""
-    told = asdict(options)
+    stated = asdict(options)
     if (options.up, options.forward) == (BodyOptions.up, BodyOptions.forward):
-        del told["up"], told["forward"]
-    return told
+        del stated["up"], stated["forward"]
+    return stated
 
 
 def build_body(

@@ -220,6 +220,6 @@ def _key(triangles: np.ndarray, base: int) -> np.ndarray:
 def _has_key(keys: np.ndarray, triangles: np.ndarray, base: int) -> np.ndarray:
     if len(keys) == 0:
         return np.zeros(len(triangles), bool)
-    wanted = _key(triangles, base)
-    at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return keys[at] == wanted
+    key = _key(triangles, base)
+    at = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
+    return keys[at] == key

@@ -61,10 +61,10 @@ class ElasticShapes:
 
     def misfit(self, q: np.ndarray, u: np.ndarray) -> float:
         """Return the energy of what the stretch of displacement u (n, 3) lacks, of that of shape q (r,)."""
-        wanted = self._wanted(q)
+        goal = self._wanted(q)
         stretch = self._parts(self.mesh.vertices + u).stretch
         fem = self._elements
-        return fem.energy(stretch - wanted) / fem.energy(wanted - _ONE)
+        return fem.energy(stretch - goal) / fem.energy(goal - _ONE)
 
     def _wanted(self, q: np.ndarray) -> np.ndarray:
         return _ONE + self.strain(q)
@@ -74,17 +74,17 @@ class ElasticShapes:
 
     def _displacement(self, q: np.ndarray) -> np.ndarray:
         start = self.mesh.vertices + self.nearest.displacement(q)[0]
-        wanted, x = self._wanted(q), start
+        goal, x = self._wanted(q), start
         parts = self._parts(x)
-        energy = self._elements.energy(parts.stretch - wanted)
+        energy = self._elements.energy(parts.stretch - goal)
         for _ in range(_MOST):
-            move = self._move(x - start, parts, wanted)
+            move = self._move(x - start, parts, goal)
             fraction = 1.0
             while True:
                 new = x + fraction * move
                 new_parts = self._parts(new)
                 held = 0.5 * float((self._held * (new - start) ** 2).sum())
-                new_energy = self._elements.energy(new_parts.stretch - wanted) + held
+                new_energy = self._elements.energy(new_parts.stretch - goal) + held
                 if new_energy <= energy or fraction < _LEAST_FRACTION:
                     break
                 fraction *= 0.5
@@ -95,9 +95,9 @@ class ElasticShapes:
                 break
         return self._laid_on(x, start) - self.mesh.vertices
 
-    def _move(self, offset: np.ndarray, parts: Polar, wanted: np.ndarray) -> np.ndarray:
+    def _move(self, offset: np.ndarray, parts: Polar, goal: np.ndarray) -> np.ndarray:
         """Return the Gauss-Newton step (n, 3), m."""
-        fem, strain = self._elements, parts.stretch - wanted
+        fem, strain = self._elements, parts.stretch - goal
         gradient = fem.elastic_forces(parts, strain) + self._held * offset
         blocks = fem.blocks(fem.stiffness(parts), None)
         blocks[fem.diagonal] += self._held[:, :, None] * np.eye(3)

@@ -52,10 +52,10 @@ def fitted_features(
         # the weights are the best for these maps, so that only the maps' own change counts
         return (off**2).sum() / size, pull(2.0 * row * (off @ weights) / size).ravel()
 
-    found = so.minimize(
+    solution = so.minimize(
         loss, features.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": rounds}
     )
-    maps = found.x.reshape(features.shape)
+    maps = solution.x.reshape(features.shape)
     return maps, fit_weights(_evaluated(maps, q)[0] * row, target, _RIDGE)
 
 

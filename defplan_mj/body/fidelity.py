@@ -73,8 +73,8 @@ def measure(
         own: the part of the surface that the file has, without caps of holes.
     """
     built = Surface(mesh.vertices, boundary(mesh.tetrahedra)[0])
-    wanted = np.ptp(surface.vertices[np.unique(surface.faces)], axis=0)
-    length = wanted.max()
+    extents = np.ptp(surface.vertices[np.unique(surface.faces)], axis=0)
+    length = extents.max()
     points = asked_points(own or surface)
     there, inside = distances_of(points, built)
     if overlaps:
@@ -88,7 +88,7 @@ def measure(
     volume = covered_volume(surface) if overlaps else surface.volume
     return Fidelity(
         surface_distance=float(max(_worst(there), _worst(back)) / length),
-        extents_error=float(np.abs(np.ptp(mesh.vertices, axis=0) / wanted - 1.0).max()),
+        extents_error=float(np.abs(np.ptp(mesh.vertices, axis=0) / extents - 1.0).max()),
         volume_error=float(volumes(mesh.vertices, mesh.tetrahedra).sum() / volume - 1.0),
     )
 

@@ -275,7 +275,7 @@ def _fill_within(repaired: Repaired, path: Path, options: BodyOptions, said: lis
     envelope = min(_ENVELOPE * diagonal, 0.03 * extent.min(), 0.1 * thickness)
     envelope = min(max(envelope, 2e-4 * diagonal), 0.3 * bound * extent.max())
     best: tuple[TetMesh, Fidelity] | None = None
-    wanted = float(options.vertices)
+    aim = float(options.vertices)
     for attempt in range(2):
         left = CPU_SECONDS - (_child_seconds() - before)
         if attempt and left < 10.0:
@@ -288,7 +288,7 @@ def _fill_within(repaired: Repaired, path: Path, options: BodyOptions, said: lis
             (0.5 if again else 1.0) * _SIMPLIFIED * bound * extent.max(),
         )
         try:
-            mesh = run_tetwild(simple, wanted, narrow, str(path), left)
+            mesh = run_tetwild(simple, aim, narrow, str(path), left)
         except DefplanError:
             if best is None:
                 raise
@@ -301,7 +301,7 @@ def _fill_within(repaired: Repaired, path: Path, options: BodyOptions, said: lis
         if best[1].within(bound) and count > _FEW * options.vertices:
             break
         if count < _FEW * options.vertices:
-            wanted *= options.vertices / count
+            aim *= options.vertices / count
     assert best is not None
     mesh, like = best
     source = {"mesher": {"name": "fTetWild", "envelope": envelope, "sha256": mesh_hash(mesh)}}

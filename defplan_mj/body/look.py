@@ -243,8 +243,8 @@ def _asymmetry(vertices: np.ndarray, faces: np.ndarray, centre: np.ndarray, axis
     image = here.copy()
     image[:, axis] = 2 * centre[axis] - image[:, axis]
     tree = cKDTree(there)
-    chance, found = tree.query(here)[0], tree.query(image)[0]
-    return float(np.sqrt((found**2).mean()) - np.sqrt((chance**2).mean()))
+    chance, nearest = tree.query(here)[0], tree.query(image)[0]
+    return float(np.sqrt((nearest**2).mean()) - np.sqrt((chance**2).mean()))
 
 
 def _drawn(vertices: np.ndarray, faces: np.ndarray, seed: int) -> np.ndarray:

@@ -61,16 +61,16 @@ def run_tetwild(
             cwd=folder,  # fTetWild leaves a file where it runs
         )
         try:
-            _, told = process.communicate(timeout=WALL_SECONDS)
+            _, output = process.communicate(timeout=WALL_SECONDS)
         except subprocess.TimeoutExpired:
-            told = b""
+            output = b""
         finally:
             if process.poll() is None:
                 process.kill()
                 process.wait()
         if not made.is_file():
             used = time.monotonic() - start
-            raise DefplanError(_failure(name, process.returncode, told, used))
+            raise DefplanError(_failure(name, process.returncode, output, used))
         with np.load(made) as data:
             points, tetrahedra = data["vertices"], data["tetrahedra"].astype(np.int64)
     if len(tetrahedra) == 0:
@@ -85,8 +85,8 @@ def mesh_hash(mesh: TetMesh) -> str:
     return hashlib.sha256(mesh.vertices.tobytes() + mesh.tetrahedra.tobytes()).hexdigest()
 
 
-def _failure(name: str, code: int, told: bytes, seconds: float) -> str:
-    lines = told.decode(errors="replace").strip().splitlines()
+def _failure(name: str, code: int, output: bytes, seconds: float) -> str:
+    lines = output.decode(errors="replace").strip().splitlines()
     if lines and lines[-1].startswith("no "):
         return f"{name} needs repair, but {lines[-1][3:]}"
     if code in (-24, -9) or seconds >= WALL_SECONDS:

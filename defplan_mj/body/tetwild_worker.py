@@ -19,10 +19,10 @@ def main(given: str, made: str, seconds: int, memory: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     package = importlib.util.find_spec("pytetwild")
     folders = list(package.submodule_search_locations or []) if package else []
-    found = [p for folder in folders for p in Path(folder).glob("PyfTetWildWrapper*.so")]
-    if not found:
+    modules = [p for folder in folders for p in Path(folder).glob("PyfTetWildWrapper*.so")]
+    if not modules:
         sys.exit("no pytetwild is there: install it with pip install pytetwild")
-    spec = importlib.util.spec_from_file_location("PyfTetWildWrapper", found[0])
+    spec = importlib.util.spec_from_file_location("PyfTetWildWrapper", modules[0])
     assert spec is not None and spec.loader is not None
     native = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(native)

@@ -125,7 +125,7 @@ def _system_error(error: OSError) -> str:
 
 def _say(program: str, sentence: str) -> None:
     with contextlib.suppress(OSError, ValueError):  # stderr may be closed or on the full disk
-        told = printable(sentence)
-        if len(told) > LONGEST:  # a file may bring along a name without end
-            told = f"{told[:LONGEST]} ..."
-        print(f"{program}: {told}", file=sys.stderr, flush=True)
+        text = printable(sentence)
+        if len(text) > LONGEST:  # a file may bring along a name without end
+            text = f"{text[:LONGEST]} ..."
+        print(f"{program}: {text}", file=sys.stderr, flush=True)

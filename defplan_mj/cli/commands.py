@@ -149,8 +149,13 @@ def _make(
 
     with _stage(arguments, console, stage, **chosen) as run:
         run.do(stage)
-        told = {"skills": skills(run)} if stage == "gait" and skills(run) else {}
-        return {**run.figures(stage), **told, "seconds": run.seconds(stage), "file": run.file(file)}
+        verdicts = {"skills": skills(run)} if stage == "gait" and skills(run) else {}
+        return {
+            **run.figures(stage),
+            **verdicts,
+            "seconds": run.seconds(stage),
+            "file": run.file(file),
+        }
 
 
 def planner(arguments: argparse.Namespace, console: Console) -> int:
@@ -350,7 +355,11 @@ def _open(
     with (
         workers(arguments, console),  # before the folder is touched: options may not go together
         open_run(
-            *(spec, arguments.logs, arguments.seed, chosen, progress),
+            spec,
+            arguments.logs,
+            arguments.seed,
+            chosen,
+            progress,
             whole=whole,
             fresh=fresh,
             consent=consent,

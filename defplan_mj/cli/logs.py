@@ -48,7 +48,10 @@ def replay(arguments: argparse.Namespace, console: Console) -> int:
         data = result.to_json()
         if arguments.video:
             write_video(
-                *(log, arguments.video, arguments.size, arguments.fps),
+                log,
+                arguments.video,
+                arguments.size,
+                arguments.fps,
                 camera=arguments.camera,
                 progress=progress,
                 seconds=(arguments.since, arguments.until),
@@ -87,7 +90,10 @@ def logs_text(rows: list[dict[str, Any]], counts: dict[str, int]) -> str:
     columns += ["clearance, m", "fault"]
     cells = [
         [
-            *(row["log"], row.get("task", "-"), row.get("planner") or "-", row["outcome"] or "-"),
+            row["log"],
+            row.get("task", "-"),
+            row.get("planner") or "-",
+            row["outcome"] or "-",
             str(row.get("cycles", "-")),
             *(_figure(row.get(k)) for k in ("duration_s", "way_m", "end_distance_m")),
             clearance_text(row.get("clearance_min_m") or float("nan")),

@@ -47,8 +47,8 @@ def study(arguments: argparse.Namespace, console: Console) -> int:
         "seconds": time.perf_counter() - began,
         "files": {**paths, "page": page},
     }
-    told = [f"{row['folder']}: {row['error']}" for row in failed]
-    console.result(data, "\n".join([*told, _summary(data)]))
+    errors = [f"{row['folder']}: {row['error']}" for row in failed]
+    console.result(data, "\n".join([*errors, _summary(data)]))
     return 0
 
 
@@ -74,10 +74,10 @@ def _say_outlook(spec: Study, cells: list[Cell], root: Path, logs: Path, console
     """Say what is there and what is to be made, and how long that takes; make nothing."""
     from defplan_mj.study.outlook import prospects
 
-    found = prospects(cells, root, logs)
-    known = [p.seconds for p in found if p.seconds is not None]
-    unknown = sum(p.seconds is None for p in found)
-    counts = {state: sum(p.state == state for p in found) for state in _STATES}
+    outlook = prospects(cells, root, logs)
+    known = [p.seconds for p in outlook if p.seconds is not None]
+    unknown = sum(p.seconds is None for p in outlook)
+    counts = {state: sum(p.state == state for p in outlook) for state in _STATES}
     runs = [
         {
             "folder": str(p.cell.folder),
@@ -85,7 +85,7 @@ def _say_outlook(spec: Study, cells: list[Cell], root: Path, logs: Path, console
             "missing": list(p.missing),
             "seconds": p.seconds,
         }
-        for p in found
+        for p in outlook
     ]
     data = {
         "study": spec.name,
@@ -98,8 +98,10 @@ def _say_outlook(spec: Study, cells: list[Cell], root: Path, logs: Path, console
         [run["folder"], run["state"], ", ".join(run["missing"]) or "-", _time(run["seconds"])]  # type: ignore[arg-type]
         for run in runs
     ]
-    told = ", ".join(f"{counts[state]} {state}" for state in _STATES)
-    sentence = f"{spec.name}: {len(found)} runs: {told}; about {_time(sum(known))} by one process"
+    states = ", ".join(f"{counts[state]} {state}" for state in _STATES)
+    sentence = (
+        f"{spec.name}: {len(outlook)} runs: {states}; about {_time(sum(known))} by one process"
+    )
     if unknown:
         sentence += f", and {unknown} runs of which nothing is known yet"
     console.result(data, f"{table(['run', 'is', 'to be made', 'about'], rows)}\n{sentence}")

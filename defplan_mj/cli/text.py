@@ -6,7 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from defplan_mj.cli.console import table
-from defplan_mj.planning.outcome import SCENES
+from defplan_mj.planning.outcome import ENDINGS, SCENES, Outcome
+
+_FAILURES = [str(ending) for ending in ENDINGS if ending is not Outcome.SUCCESS]
 
 
 def run_text(data: dict[str, Any]) -> str:
@@ -78,9 +80,9 @@ def skills_text(skills: list[dict[str, Any]]) -> str:
     """Return what was wanted of each gait, what it does, and which were dropped; nothing if not judged."""
     rows = []
     for skill in skills:
-        wanted, got = skill["wanted"], skill["got"]
+        goal, got = skill["wanted"], skill["got"]
         kept = "kept" if skill["kept"] else "dropped"
-        rows.append([skill["name"], *(f"{wanted[k]:.2f}" for k in ("advance_m", "turn_rad"))])
+        rows.append([skill["name"], *(f"{goal[k]:.2f}" for k in ("advance_m", "turn_rad"))])
         rows[-1] += ["-" if got[k] is None else f"{got[k]:.2f}" for k in ("advance_m", "turn_rad")]
         rows[-1] += [f"{got['falls']} of {got['cycles']}", kept]
     if not rows:
@@ -102,10 +104,11 @@ def surrogate_text(data: dict[str, Any]) -> str:
     ]
     columns = ["gait", "rotation, rad (sd)", "translation, m (sd)"]
     text = table(columns, rows, f"Surrogate, {data['pairs']} pairs a gait")
-    if not (told := data.get("held_out")):
+    if not (held_out := data.get("held_out")):
         return text
     errors = [
-        f"{told[f'{key}place_m']:.3f} m, {told[f'{key}turn_rad']:.3f} rad" for key in ("plain_", "")
+        f"{held_out[f'{key}place_m']:.3f} m, {held_out[f'{key}turn_rad']:.3f} rad"
+        for key in ("plain_", "")
     ]
     m = data.get("decisions_per_cycle", 1)
     part, gaits = ("a cycle", "gait") if m == 1 else (f"1 / {m} of a cycle", "gaits")
@@ -115,7 +118,7 @@ def surrogate_text(data: dict[str, Any]) -> str:
     )
 
 
-_EVALUATION_COLUMNS = ["episodes", "success", "95%", "collision", "fall", "timeout", "x real time"]
+_EVALUATION_COLUMNS = ["episodes", "success", "95%", *_FAILURES, "x real time"]
 
 
 def evaluation_text(data: dict[str, Any]) -> str:
@@ -129,7 +132,7 @@ def _evaluation_row(data: dict[str, Any]) -> list[str]:
         str(data["episodes"]),
         f"{100 * data['success']:.1f}%",
         f"{100 * low:.1f}-{100 * high:.1f}%",
-        *(f"{100 * data.get(name, 0.0):.1f}%" for name in ("collision", "fall", "timeout")),
+        *(f"{100 * data.get(name, 0.0):.1f}%" for name in _FAILURES),
         f"{data['real_time_factor']:.0f}",
     ]
 
@@ -142,16 +145,19 @@ def bound_text(data: dict[str, Any]) -> str:
         share = "-" if row["of_bound"] is None else f"{100 * row['of_bound']:.1f}%"
         rows.append(
             [
-                *(row["scenes"], f"{row['speed']:g}", row["planner"], str(row["episodes"])),
+                row["scenes"],
+                f"{row['speed']:g}",
+                row["planner"],
+                str(row["episodes"]),
                 f"{100 * row['success']:.1f}%",
                 f"{100 * low:.1f}-{100 * high:.1f}%",
                 share,
-                *(f"{100 * row[name]:.1f}%" for name in ("collision", "fall", "timeout")),
+                *(f"{100 * row[name]:.1f}%" for name in _FAILURES),
                 f"{row['decision_ms']:.2f}",
             ]
         )
     columns = ["scenes", "m/s", "planner", "episodes", "success", "95%", "of the bound"]
-    columns += ["collision", "fall", "timeout", "ms a decision"]
+    columns += [*_FAILURES, "ms a decision"]
     return table(columns, rows, f"{data['task']}: planners against one that knows everything")
 
 
@@ -162,22 +168,15 @@ def noise_text(data: dict[str, Any]) -> str:
         low, high = row["interval"]
         rows.append(
             [
-                *(row["disturbance"], f"{row['strength']:g} {row['unit']}".strip()),
-                *(str(row["episodes"]), f"{100 * row['success']:.1f}%"),
+                row["disturbance"],
+                f"{row['strength']:g} {row['unit']}".strip(),
+                str(row["episodes"]),
+                f"{100 * row['success']:.1f}%",
                 f"{100 * low:.1f}-{100 * high:.1f}%",
-                *(f"{100 * row[name]:.1f}%" for name in ("collision", "fall", "timeout")),
+                *(f"{100 * row[name]:.1f}%" for name in _FAILURES),
             ]
         )
-    columns = [
-        "disturbance",
-        "strength",
-        "episodes",
-        "success",
-        "95%",
-        "collision",
-        "fall",
-        "timeout",
-    ]
+    columns = ["disturbance", "strength", "episodes", "success", "95%", *_FAILURES]
     return table(columns, rows, f"{data['task']}: {data['planner']}, unseen scenes, disturbed")
 
 
@@ -189,7 +188,9 @@ def robustness_text(data: dict[str, Any]) -> str:
         figures = [row["place_m"], row["turn_rad"], row["way_m"]]
         rows.append(
             [
-                *(row["condition"], row["feedback"], f"{row['falls']} of {row['cycles']}"),
+                row["condition"],
+                row["feedback"],
+                f"{row['falls']} of {row['cycles']}",
                 f"{100 * low:.1f}-{100 * high:.1f}%",
                 *("-" if value is None else f"{value:.3f}" for value in figures),
                 f"{row['decision_ms']:.2f}",

@@ -65,7 +65,7 @@ class Descent:
 
         options = {"maxiter": iterations, "maxfun": 2 * iterations}
         limits = np.stack([low, high], axis=1) / scale[:, None]
-        found = minimize(
+        solution = minimize(
             scaled, w / scale, jac=True, method="L-BFGS-B", bounds=limits, options=options
         )
-        return float(found.fun), scale * found.x
+        return float(solution.fun), scale * solution.x

@@ -43,8 +43,8 @@ class Skill:
 
     def to_json(self) -> dict[str, Any]:
         """Return what `defplan run --json` shows of it."""
-        told = {"name": self.name, "wanted": self.wanted, "got": self.got, "kept": self.kept}
-        return {**told, "fault": self.fault}
+        entry = {"name": self.name, "wanted": self.wanted, "got": self.got, "kept": self.kept}
+        return {**entry, "fault": self.fault}
 
 
 def judge(measured: Switching) -> list[Skill]:
@@ -57,18 +57,18 @@ def judge(measured: Switching) -> list[Skill]:
     verdicts = []
     for j, (task, row) in enumerate(zip(measured.tasks, measured.rows(), strict=True)):
         mine = measured.task == j
-        wanted = {"advance_m": task.advance, "turn_rad": task.turn[2] if level else task.angle}
+        goal = {"advance_m": task.advance, "turn_rad": task.turn[2] if level else task.angle}
         names = ("advance_m", "advance_sd", "turn_rad", "turn_sd")
         got: dict[str, Any] = {n: row[n] if np.isfinite(row[n]) else None for n in names}
         got |= {"falls": int(measured.fell[mine].sum()), "cycles": int(mine.sum())}
-        verdicts.append(Skill(task.name, wanted, got, _fault(task, wanted, got)))
+        verdicts.append(Skill(task.name, goal, got, _fault(task, goal, got)))
     return verdicts
 
 
-def _fault(task: GaitTask, wanted: dict[str, float], got: dict[str, Any]) -> str:
+def _fault(task: GaitTask, goal: dict[str, float], got: dict[str, Any]) -> str:
     """Return what is wrong with a gait, as a clause without its name."""
     key, unit, verb = ("turn_rad", "rad", "turns") if task.angle else ("advance_m", "m", "goes")
-    want, mean, spread = wanted[key], got[key], got[f"{key.split('_')[0]}_sd"]
+    want, mean, spread = goal[key], got[key], got[f"{key.split('_')[0]}_sd"]
     if got["falls"] > MOST_FALLS * got["cycles"]:
         return f"falls in {got['falls']} of {got['cycles']} cycles"
     if mean is None:

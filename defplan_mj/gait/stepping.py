@@ -130,8 +130,8 @@ def stepping_gaits(alone: GaitProblem) -> Iterator[np.ndarray]:
     reach = foot_motion(alone, feet)
     steps = np.arange(1, alone.steps_per_cycle + 1) / alone.steps_per_cycle
     for phases in foot_phases(where).values():
-        wanted = swept(steps[:, None] - phases, ways).reshape(len(steps), -1)  # (n, 3 feet)
-        shapes = wanted @ reach.T
+        places = swept(steps[:, None] - phases, ways).reshape(len(steps), -1)  # (n, 3 feet)
+        shapes = places @ reach.T
         for share in SHARES:
             yield as_gait(alone, shapes * (share / np.abs(shapes / body.amplitude).max()))
 

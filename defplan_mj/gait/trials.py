@@ -126,16 +126,16 @@ def _together(problem: GaitProblem, seed: int, progress: Progress) -> np.ndarray
         starts = [alone[first].random_gait(rng) for _ in range(_STARTS)]
         straight = _swimming(alone[first], starts, True, pool)
         progress("trying what the body can do", 1 / count)
-        found = {first: straight}
+        chosen = {first: straight}
         bent = [
             [straight, *(bent_gaits(alone[j], straight) if alone[j].tasks[0].angle else ())]
             for j in others
         ]
         ends = pool.map(_swimming, [alone[j] for j in others], bent)
         for done, (j, w) in enumerate(zip(others, ends, strict=True), start=2):
-            found[j] = w
+            chosen[j] = w
             progress("trying what the body can do", done / count)
-    parts = [alone[j].split(found[j]) for j in range(count)]
+    parts = [alone[j].split(chosen[j]) for j in range(count)]
     mu = parts[first][0]
     return problem.join(mu, *(np.concatenate([part[i] for part in parts]) for i in (1, 2)))
 

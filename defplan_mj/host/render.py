@@ -39,10 +39,8 @@ _TRAIL_RADIUS = {MAP: 0.06, OVERVIEW: 0.03}  # m
 _TRAIL_PIECES = 240  # a longer way is drawn in longer pieces
 _TARGET_RGBA = np.array([0.90, 0.16, 0.10, 1.0], np.float32)
 _SHADOW_RGBA = np.array([0.05, 0.08, 0.10, 0.22], np.float32)
-_GROUND, _SQUARE = (
-    120.0,
-    10.0,
-)  # m to each side, of ground that is not infinite; m, of what it is made of
+_GROUND = 120.0  # m to each side, of ground that is not infinite
+_SQUARE = 10.0  # m, of what that ground is made of
 _TURNING_SECONDS = 0.8  # over which the heading is averaged that the camera at the side turns with
 _BACKENDS = ("egl", "osmesa", "glfw")
 _MOTE_RGBA = np.array([0.85, 0.95, 0.95, 0.55], np.float32)
@@ -286,14 +284,21 @@ def render_states(
     indices = np.minimum(np.round(instants / timestep).astype(int), len(states) - 1)
     space = PLANE.name if scene is None else scene.space
     spec = build_spec(
-        *(body, timestep),
+        body,
+        timestep,
         max_obstacles=0 if scene is None else len(scene.radii),
         space=space,
         terrain=terrain,
         texture=texture,
     )
     film = _Film(
-        *(compile_model(spec), states, scene, timestep, camera, quality, trail),
+        compile_model(spec),
+        states,
+        scene,
+        timestep,
+        camera,
+        quality,
+        trail,
         length=view_length(body),
         walks=terrain is not None,
     )
@@ -360,7 +365,8 @@ class _Film:
                     below = height_above(model, data, x[:3])
                 ground = x[:3] + below * SUN / -SUN[2] + [0, 0, 0.01]
                 yield offscreen.picture(
-                    *(data, view),
+                    data,
+                    view,
                     trail=states[: index + 1, :3] if self.trail else None,
                     trail_radius=_TRAIL_RADIUS.get(self.camera, 0.0),
                     trail_every=-(-len(states) // _TRAIL_PIECES),

@@ -149,22 +149,8 @@ def _add_robot(
 ) -> None:
     """Add the free joint, the modal slide joints, their actuators, the plugin and its data."""
     amplitude = np.asarray(body.amplitude, float)
-    spec.add_numeric(name="defplan_body", data=pack_body(body))
-    spec.add_numeric(
-        name="defplan_options", data=pack_options(body, StepOptions(timestep, **stepping))
-    )
     scale = amplitude if normalised else np.ones(body.n_modes)
-    spec.add_numeric(name="defplan_scale", data=scale)
-    spec.add_text(name="body_hash", data=body.hash)
-
-    spec.activate_plugin(PLUGIN)
-    plugin = spec.add_plugin(name="reduced_fem", plugin_name=PLUGIN, active=True)
-    plugin.config = {
-        "body": "defplan_body",
-        "options": "defplan_options",
-        "scale": "defplan_scale",
-        "terrain": TERRAIN,
-    }
+    plugin = _add_plugin(spec, body, StepOptions(timestep, **stepping), scale)
 
     masses, points = body.vertex_mass, body.vertices
     second = np.einsum("v,vi,vj->ij", masses, points, points)
@@ -179,35 +165,72 @@ def _add_robot(
     )
     robot.add_freejoint(name=ROOT)
     for mode in range(body.n_modes):
-        # a dummy: it carries q as a joint position, the plugin moves it
-        dummy = robot.add_body(
-            name=f"mode_{mode}",
-            gravcomp=1,
-            explicitinertial=True,
-            mass=1e-9 * body.mass,
-            ipos=[0, 0, 0],
-            inertia=[1e-9, 1e-9, 1e-9],
-        )
-        dummy.add_joint(
-            name=f"mode_{mode}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], armature=1
-        )
         limit = 1.0 if normalised else amplitude[mode]
-        spec.add_actuator(
-            name=f"target_{mode}",
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            target=f"mode_{mode}",
-            ctrllimited=True,
-            ctrlrange=[-limit, limit],
-            # the activation holds the last target; nothing but the plugin changes it
-            dyntype=mujoco.mjtDyn.mjDYN_USER,
-            actdim=1,
-        ).plugin = plugin
+        _add_mode(spec, robot, mode, 1e-9 * body.mass, limit, plugin)
     spec.add_sensor(name="clearance", type=mujoco.mjtSensor.mjSENS_PLUGIN).plugin = plugin
+    _add_cameras(robot, view_length(body), look)
 
-    length = view_length(body)
+
+def _add_plugin(
+    spec: mujoco.MjSpec, body: Body, options: StepOptions, scale: np.ndarray
+) -> mujoco.MjsPlugin:
+    """Add the plugin that moves the robot, and the numbers that it reads: body, options, units of controls."""
+    spec.add_numeric(name="defplan_body", data=pack_body(body))
+    spec.add_numeric(name="defplan_options", data=pack_options(body, options))
+    spec.add_numeric(name="defplan_scale", data=scale)
+    spec.add_text(name="body_hash", data=body.hash)
+
+    spec.activate_plugin(PLUGIN)
+    plugin = spec.add_plugin(name="reduced_fem", plugin_name=PLUGIN, active=True)
+    plugin.config = {
+        "body": "defplan_body",
+        "options": "defplan_options",
+        "scale": "defplan_scale",
+        "terrain": TERRAIN,
+    }
+    return plugin
+
+
+def _add_mode(
+    spec: mujoco.MjSpec,
+    robot: mujoco.MjsBody,
+    mode: int,
+    mass: float,
+    limit: float,
+    plugin: mujoco.MjsPlugin,
+) -> None:
+    """Add a dummy of almost no mass (kg), which carries q as a joint position, and its actuator up to `limit`.
+
+    The plugin moves it.
+    """
+    dummy = robot.add_body(
+        name=f"mode_{mode}",
+        gravcomp=1,
+        explicitinertial=True,
+        mass=mass,
+        ipos=[0, 0, 0],
+        inertia=[1e-9, 1e-9, 1e-9],
+    )
+    dummy.add_joint(
+        name=f"mode_{mode}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], armature=1
+    )
+    spec.add_actuator(
+        name=f"target_{mode}",
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        target=f"mode_{mode}",
+        ctrllimited=True,
+        ctrlrange=[-limit, limit],
+        # the activation holds the last target; nothing but the plugin changes it
+        dyntype=mujoco.mjtDyn.mjDYN_USER,
+        actdim=1,
+    ).plugin = plugin
+
+
+def _add_cameras(robot: mujoco.MjsBody, length: float, look: Look) -> None:
+    """Add cameras that go along with the robot, as far away as a body of this `length` (m) asks, and the sun."""
     track = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
-    # Cameras go along with the robot but do not turn with it, so that it may turn over; the one at its
-    # side turns with it where it stays upright.
+    # Cameras do not turn with the robot, so that it may turn over; the one at its side does where it
+    # stays upright.
     turning = mujoco.mjtCamLight.mjCAMLIGHT_FIXED if look.side_turns else track
     views = {
         "chase": ([-0.84, -1.17, 0.67], [0.814, -0.581, 0, 0.246, 0.345, 0.906], 45, track),

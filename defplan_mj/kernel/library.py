@@ -68,10 +68,7 @@ class Geom(ctypes.Structure):
 class SearchProblem(ctypes.Structure):
     """dp_search_problem."""
 
-    _integers = (
-        *("d", "n_gaits", "before", "n_balls", "n_axes"),
-        *("nodes", "cycles", "enough", "decisions", "single"),
-    )
+    _integers = "d n_gaits before n_balls n_axes nodes cycles enough decisions single".split()
     _numbers = ("goal_radius", "margin", "weight", "cell", "heading", "advance", "per_radian")
     _arrays = ("rotations", "translations", "target", "balls", "axes", "then", "phase")
     _fields_ = [
@@ -87,9 +84,9 @@ class AstarProblem(ctypes.Structure):
     _integers = ("d", "n_sets", "before", "n_points", "n_axes", "nodes")
     _numbers = ("goal_radius", "clearance", "least", "weight", "cell", "heading", "advance")
     _arrays = (
-        *("ways_at", "steps_at", "reach", "starts", "ends", "parents", "in_place", "rotations"),
-        *("translations", "cycles", "ends_with", "firsts", "finals", "points", "target", "axes"),
-    )
+        "ways_at steps_at reach starts ends parents in_place rotations"
+        " translations cycles ends_with firsts finals points target axes"
+    ).split()
     _fields_ = [
         *((name, c_int) for name in _integers),
         *((name, c_double) for name in (*_numbers, "per_radian", "horizon")),

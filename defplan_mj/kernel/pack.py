@@ -82,8 +82,17 @@ def pack_body(body: Body) -> np.ndarray:
     header = np.zeros(HEADER)
     radius = np.linalg.norm(body.vertices, axis=1).max()
     header[:11] = (
-        *(MAGIC, VERSION, HEADER + sum(s.size for s in sections), r, body.n_basis, n_samples),
-        *(len(body.drag_areas), len(body.surface), body.mass, radius, len(contacts)),
+        MAGIC,
+        VERSION,
+        HEADER + sum(s.size for s in sections),
+        r,
+        body.n_basis,
+        n_samples,
+        len(body.drag_areas),
+        len(body.surface),
+        body.mass,
+        radius,
+        len(contacts),
     )
     return np.concatenate([header, *(np.ascontiguousarray(s).ravel() for s in sections)])
 
@@ -145,9 +154,17 @@ def pack_options(body: Body, options: StepOptions) -> np.ndarray:
     medium, material = body.medium, body.material
     return np.array(
         [
-            *(options.timestep, medium.density, medium.drag_normal, medium.drag_tangential),
-            *(material.control_stiffness, material.damping, medium.gravity, medium.righting_height),
-            *(options.tolerance, float(options.max_newton), float(options.substeps)),
+            options.timestep,
+            medium.density,
+            medium.drag_normal,
+            medium.drag_tangential,
+            material.control_stiffness,
+            material.damping,
+            medium.gravity,
+            medium.righting_height,
+            options.tolerance,
+            float(options.max_newton),
+            float(options.substeps),
             INTEGRATORS[options.integrator],
         ]
     )

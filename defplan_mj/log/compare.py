@@ -316,12 +316,12 @@ def _predictions(log: EpisodeLog, rows: np.ndarray) -> np.ndarray:
 
 def _pasts(log: EpisodeLog) -> np.ndarray:
     """Return the past (`planning.past`) that each cycle of a log began after, (m,)."""
-    told, pasts = log.surrogate.past, np.zeros(len(log.gait_index), int)
-    past, phase = told.rest, log.first_cycle % told.decisions
+    history, pasts = log.surrogate.past, np.zeros(len(log.gait_index), int)
+    past, phase = history.rest, log.first_cycle % history.decisions
     if phase and len(pasts):  # what came before was filtered out
-        past = int(told.kept(phase)[log.gait_index[0]])
+        past = int(history.kept(phase)[log.gait_index[0]])
     for row, gait in enumerate(log.gait_index):
-        pasts[row], past = past, int(told.then[past, gait])
+        pasts[row], past = past, int(history.then[past, gait])
     return pasts
 
 

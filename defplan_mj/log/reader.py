@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-import zstandard
-from google.protobuf.message import DecodeError
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 
 from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
@@ -27,32 +17,18 @@ from defplan_mj.dynamics.terrain import Terrain, terrain_of
 from defplan_mj.gait.gait import Gait
 from defplan_mj.kernel.pack import MAX_SUBSTEPS
 from defplan_mj.log import bounds, channels, schemas, validate
+from defplan_mj.log.contents import MAGIC, Contents, contents_of
 from defplan_mj.log.messages import contacts_of
 from defplan_mj.planning.scene import Scene
 from defplan_mj.planning.surrogate import Surrogate
 
-_MAGIC = b"\x89MCAP0\r\n"
 _MOST_HEIGHTS = 10_000_000  # numbers of a terrain
-_MESSAGE = struct.Struct("<HIQQ")
-_OF_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
-_LOOKED_INTO = (Opcode.METADATA, Opcode.ATTACHMENT, Opcode.CHUNK, *_OF_CHUNKS)
 _NEEDED_RECORDS = (schemas.IDENTITY_RECORD, schemas.CONFIGURATION_RECORD)
 _EVERY_STEP = frozenset([channels.TARGET_SHAPE, channels.CONTACTS])
 _EVERY_CYCLE = frozenset([channels.VALUES, channels.REWARD, channels.RANGES])
-_DAMAGE = (
-    McapError,
-    DecodeError,
-    zstandard.ZstdError,
-    struct.error,
-    ValueError,
-    LookupError,
-    ArithmeticError,
-    RuntimeError,  # of lz4
-    TypeError,
-    AttributeError,
-    EOFError,
-    MemoryError,
-)
+
+Numbers = dict[str, dict[int, np.ndarray]]
+"""Topic -> number of the step -> numbers, of channels of labelled numbers."""
 
 
 class _Saved(Protocol):
@@ -145,7 +121,7 @@ class EpisodeLog:
     surrogate_pose: np.ndarray
     decisions_per_cycle: int = 1
     contacts: tuple[LoggedContacts, ...] = ()
-    numbers: dict[str, dict[int, np.ndarray]] = field(default_factory=dict, repr=False)
+    numbers: Numbers = field(default_factory=dict, repr=False)
     first: int = 0
     first_cycle: int = 0
     missing: tuple[str, ...] = ()
@@ -213,30 +189,6 @@ class EpisodeLog:
         return kind.load(Packed(f"{name} of log {self.path}", self.attachments[name]))
 
 
-def _needed() -> dict[str, Any]:
-    """Return topic -> message class of the channels that are read: numbers, and two that are not."""
-    return {
-        topic: channel.message
-        for topic, channel in channels.by_topic().items()
-        if topic in (channels.SURROGATE, channels.FORCES)
-        or channel.message is schemas.LabelledNumbers
-    }
-
-
-@dataclass
-class _Contents:
-    """What was found in a file, before it is put in order."""
-
-    fault: str = ""
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    episodes: int = 1
-    schemas: dict[int, str] = field(default_factory=dict)
-    topics: dict[int, str] = field(default_factory=dict)
-    needed: dict[str, Any] = field(default_factory=_needed)
-    messages: dict[str, list[tuple[int, float, Any]]] = field(default_factory=dict)
-
-
 def read_log(path: str | Path) -> EpisodeLog:
     """Read a log. What is there before a cut or a damaged place is returned, and `fault` says so.
 
@@ -245,179 +197,37 @@ def read_log(path: str | Path) -> EpisodeLog:
     """
     path = Path(path)
     data = read_bytes(path, "log", bounds.MOST_BYTES)
-    if data[: len(_MAGIC)] != _MAGIC[: len(data)]:
+    if data[: len(MAGIC)] != MAGIC[: len(data)]:
         raise DefplanError(f"{path} is not an MCAP log")
-    contents, budget = _Contents(), bounds.Budget.of(len(data))
-    end = len(_MAGIC)
+    contents = contents_of(data)
     try:
-        for position, opcode, record in _records(data):
-            end = position
-            # (a checksum of 0 means that its writer made none)
-            if opcode == Opcode.DATA_END and _number(record) not in (0, zlib.crc32(data[:end])):
-                raise ValueError("the data do not match their checksum")
-            budget.look()
-            if opcode in _LOOKED_INTO:
-                _take(contents, opcode, record, budget)
-            end = position + 9 + len(record)
-    except bounds.TooMuch as error:
-        contents.fault = f"not read from byte {end} on ({error})"
-    except _DAMAGE:
-        contents.fault = f"damaged at byte {end}"
-    if not contents.fault and data[end:] != _MAGIC:
-        contents.fault = f"cut at byte {len(data)}"
-    if not contents.fault and schemas.END_RECORD not in contents.metadata:
-        contents.fault = "stopped before the episode ended"
-    try:
-        return _in_order(path, contents)
+        return _episode(path, contents)
     except files.WRONG_FIELDS as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else first_line(error)
         raise DefplanError(f"log {path} is damaged ({what}): record it anew") from error
 
 
-def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Yield position, opcode and content of every complete record up to the footer."""
-    position = len(_MAGIC)
-    while position + 9 <= len(data):
-        opcode, length = struct.unpack_from("<BQ", data, position)
-        stop = position + 9 + length
-        if stop > len(data):
-            return
-        yield position, opcode, data[position + 9 : stop]
-        if opcode == Opcode.FOOTER:
-            return
-        position = stop
-
-
-def _take(contents: _Contents, opcode: int, record: bytes, budget: bounds.Budget) -> None:
-    """Keep what a record says, if we need it."""
-    budget.look(10)
-    stream = ReadDataStream(BytesIO(record))
-    if opcode == Opcode.METADATA:
-        metadata = Metadata.read(stream)
-        kept = contents.metadata.setdefault(metadata.name, metadata.metadata)
-        if metadata.name == schemas.CONFIGURATION_RECORD and kept != metadata.metadata:
-            contents.episodes += 1
-    elif opcode == Opcode.ATTACHMENT:
-        if _number(record[-4:]) not in (0, zlib.crc32(record[:-4])):
-            raise ValueError("attachment does not match its checksum")
-        attachment = Attachment.read(stream)
-        contents.attachments[attachment.name] = attachment.data
-    elif opcode in _OF_CHUNKS:
-        _keep(contents, record, [(opcode, 0, len(record))], budget)
-    elif opcode == Opcode.CHUNK:
-        data = bounds.unpack(Chunk.read(stream), budget)
-        _keep(contents, data, bounds.records(data, budget), budget)
-
-
-def _keep(
-    contents: _Contents, data: bytes, records: Iterable[tuple[int, int, int]], budget: bounds.Budget
-) -> None:
-    """Keep the messages that we need: all of a chunk or nothing, as the arrays grow by whole chunks.
-
-    Args:
-        data: a chunk's, or one record.
-        records: opcode, start and end of the content of each record in it.
-    """
-    taken: list[tuple[str, int, float, Any]] = []
-    for kind, start, stop in records:
-        if kind == Opcode.MESSAGE:
-            number, sequence, time, _ = _MESSAGE.unpack_from(data, start)
-            topic = contents.topics[number]
-            if topic in contents.needed:
-                budget.keep(stop - start)
-                content = contents.needed[topic].FromString(data[start + _MESSAGE.size : stop])
-                taken.append((topic, sequence, time * 1e-9, content))
-        elif kind in _OF_CHUNKS:
-            budget.look(20)
-            stream = ReadDataStream(BytesIO(data[start:stop]))
-            if kind == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                contents.schemas[schema.id] = schema.name
-            else:
-                channel = Channel.read(stream)
-                contents.topics[channel.id] = channel.topic if _ours(contents, channel) else ""
-    for topic, *message in taken:
-        contents.messages.setdefault(topic, []).append(tuple(message))
-
-
-def _ours(contents: _Contents, channel: Channel) -> bool:
-    """Whether a channel holds what we write under its topic: a merged file may use the name, too."""
-    if channel.topic not in contents.needed:
-        return False
-    name = contents.needed[channel.topic].DESCRIPTOR.full_name
-    return contents.schemas.get(channel.schema_id, name) == name
-
-
-def _number(four: bytes) -> int:
-    return struct.unpack("<I", four)[0]
-
-
-def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
-    """Make arrays of what was found."""
-    identity = contents.metadata.get(schemas.IDENTITY_RECORD)
+def _episode(path: Path, contents: Contents) -> EpisodeLog:
+    """Make arrays of what a file holds."""
     cut = contents.fault.startswith(("cut", "damaged", "not read"))
-    if not cut and channels.STATE in contents.messages:
-        lost = [name for name in _NEEDED_RECORDS if name not in contents.metadata]
-        if lost:
-            raise DefplanError(
-                f"log {path} has lost its metadata {' and '.join(map(repr, lost))}: a tool that "
-                "filters must be told to keep metadata and attachments"
-            )
-    if identity is None:
-        if cut:
-            raise DefplanError(
-                f"log {path} holds no step of its episode ({contents.fault}): record it anew"
-            )
-        raise DefplanError(f"{path} is an MCAP file, but not a log of this program")
-    if contents.episodes > 1:
-        raise DefplanError(
-            f"{path} is merged of several logs, whose steps cannot be told apart: read each of them"
-        )
-    if identity.get("format") != str(schemas.FORMAT_VERSION):
-        raise DefplanError(
-            f"{path} has log format {identity.get('format')}, this version reads "
-            f"{schemas.FORMAT_VERSION}: record it anew"
-        )
+    identity = _identity(path, contents, cut)
     numbers = {
         topic: {sequence: np.array(message.values) for sequence, _, message in messages}
         for topic, messages in contents.messages.items()
         if contents.needed[topic] is schemas.LabelledNumbers
     }
-    states = numbers.get(channels.STATE, {})
-    if not states and not cut and contents.messages:
-        raise DefplanError(
-            f"log {path} has no messages in {channels.STATE}: keep them in filtering"
-        )
-    if not states or schemas.CONFIGURATION_RECORD not in contents.metadata:
-        raise DefplanError(
-            f"log {path} holds no step of its episode ({contents.fault}): record it anew"
-        )
-    configuration = parse_json(contents.metadata[schemas.CONFIGURATION_RECORD]["json"])
-    if not isinstance(configuration, dict):
-        raise ValueError("the configuration is no object")
-    scene = validate.scene_of(configuration.pop("scene"))
-    validate.check_navigation(configuration)
+    _check_steps(path, contents, numbers, cut)
+    configuration, scene = _configuration(contents)
 
-    first = min(states)
-    missing = () if cut or len(states) == 1 else tuple(sorted(_EVERY_STEP - numbers.keys()))
-    parts = [states, *(numbers.get(topic, {}) for topic in _EVERY_STEP.difference(missing))]
-    steps = 0  # up to the first one that misses something
-    while all(first + steps + 1 in part for part in parts):
-        steps += 1
+    first = min(numbers[channels.STATE])
+    steps, missing = _whole_steps(numbers, first, cut)
     ending = contents.metadata.get(schemas.END_RECORD, {})
-    fault = contents.fault
-    if not fault and first:
-        fault = f"without its first {first} steps"
-    if not fault and steps != validate.whole_number(ending, "steps", 0, validate.MOST_STEPS):
-        fault = f"incomplete: {steps} of {ending.get('steps')} steps are there"
+    fault = _fault(contents.fault, first, steps, ending)
     modes = validate.whole_number(identity, "modes", 1, validate.MOST_MODES)
-    taken = range(first + 1, first + steps + 1)
-    shapes, contacts = numbers.get(channels.TARGET_SHAPE, {}), numbers.get(channels.CONTACTS, {})
-    cycles, lost_cycles = _cycles(contents, numbers, first, steps, cut)
-    missing += lost_cycles
+    cycles, of_cycles = _cycles(contents, numbers, first, steps, cut)
+    missing += of_cycles
     if not fault and missing:
         fault = f"filtered: without {', '.join(missing)}"
-    times = {sequence: time for sequence, time, _ in contents.messages[channels.STATE]}
     log = EpisodeLog(
         path=path,
         fault=fault,
@@ -435,33 +245,127 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         versions=contents.metadata.get(schemas.VERSIONS_RECORD, {}),
         attachments=contents.attachments,
         scene=scene,
-        time=np.array([times[first + i] for i in range(steps + 1)]),
-        states=np.array([states[first + i] for i in range(steps + 1)]),
-        target_shapes=np.array([shapes.get(i, np.full(modes, np.nan)) for i in taken]).reshape(
-            steps, modes
-        ),
-        clearance=np.array([contacts.get(i, [np.nan])[0] for i in taken], float),
-        contacts=tuple(
-            LoggedContacts(sequence - first, *contacts_of(message))
-            for sequence, _, message in sorted(
-                contents.messages.get(channels.FORCES, []), key=lambda message: message[0]
-            )
-            if sequence <= first + steps
-        ),
         numbers=numbers,
         first=first,
         missing=missing,
         decisions_per_cycle=validate.whole_number(
             {"decisions_per_cycle": "1", **identity}, "decisions_per_cycle", 1, validate.MOST_CYCLES
         ),
+        **_step_arrays(contents, numbers, first, steps, modes),
         **cycles,
     )
     validate.validate_log(log, modes)
     return log
 
 
+def _identity(path: Path, contents: Contents, cut: bool) -> dict[str, str]:
+    """Return the record that says whose log it is.
+
+    Args:
+        cut: the file is not there to its end.
+
+    Raises:
+        DefplanError: it is none of ours, of several, of another version, or without its records.
+    """
+    identity = contents.metadata.get(schemas.IDENTITY_RECORD)
+    if not cut and channels.STATE in contents.messages:
+        lost = [name for name in _NEEDED_RECORDS if name not in contents.metadata]
+        if lost:
+            raise DefplanError(
+                f"log {path} has lost its metadata {' and '.join(map(repr, lost))}: a tool that "
+                "filters must be told to keep metadata and attachments"
+            )
+    if identity is None:
+        if cut:
+            raise _no_step(path, contents)
+        raise DefplanError(f"{path} is an MCAP file, but not a log of this program")
+    if contents.episodes > 1:
+        raise DefplanError(
+            f"{path} is merged of several logs, whose steps cannot be told apart: read each of them"
+        )
+    if identity.get("format") != str(schemas.FORMAT_VERSION):
+        raise DefplanError(
+            f"{path} has log format {identity.get('format')}, this version reads "
+            f"{schemas.FORMAT_VERSION}: record it anew"
+        )
+    return identity
+
+
+def _check_steps(path: Path, contents: Contents, numbers: Numbers, cut: bool) -> None:
+    """Raise DefplanError if a log holds no state, or not what was run."""
+    states = numbers.get(channels.STATE)
+    if not states and not cut and contents.messages:
+        raise DefplanError(
+            f"log {path} has no messages in {channels.STATE}: keep them in filtering"
+        )
+    if not states or schemas.CONFIGURATION_RECORD not in contents.metadata:
+        raise _no_step(path, contents)
+
+
+def _no_step(path: Path, contents: Contents) -> DefplanError:
+    return DefplanError(
+        f"log {path} holds no step of its episode ({contents.fault}): record it anew"
+    )
+
+
+def _configuration(contents: Contents) -> tuple[dict[str, Any], Scene]:
+    """Return what the run was told to do, and the navigation problem."""
+    configuration = parse_json(contents.metadata[schemas.CONFIGURATION_RECORD]["json"])
+    if not isinstance(configuration, dict):
+        raise ValueError("the configuration is no object")
+    scene = validate.scene_of(configuration.pop("scene"))
+    validate.check_navigation(configuration)
+    return configuration, scene
+
+
+def _whole_steps(numbers: Numbers, first: int, cut: bool) -> tuple[int, tuple[str, ...]]:
+    """Return how many steps follow state `first`, up to one that misses something, and topics that all miss.
+
+    The latter were left out by a filter: these do not end the steps.
+    """
+    states = numbers[channels.STATE]
+    missing = () if cut or len(states) == 1 else tuple(sorted(_EVERY_STEP - numbers.keys()))
+    parts = [states, *(numbers.get(topic, {}) for topic in _EVERY_STEP.difference(missing))]
+    steps = 0
+    while all(first + steps + 1 in part for part in parts):
+        steps += 1
+    return steps, missing
+
+
+def _fault(fault: str, first: int, steps: int, ending: dict[str, str]) -> str:
+    """Return what is wrong with a log: that with the file, else with what it holds; '': nothing."""
+    if not fault and first:
+        fault = f"without its first {first} steps"
+    if not fault and steps != validate.whole_number(ending, "steps", 0, validate.MOST_STEPS):
+        fault = f"incomplete: {steps} of {ending.get('steps')} steps are there"
+    return fault
+
+
+def _step_arrays(
+    contents: Contents, numbers: Numbers, first: int, steps: int, modes: int
+) -> dict[str, Any]:
+    """Return the arrays of the steps; NaN for what a filter has left out."""
+    states = numbers[channels.STATE]
+    shapes, contacts = numbers.get(channels.TARGET_SHAPE, {}), numbers.get(channels.CONTACTS, {})
+    times = {sequence: time for sequence, time, _ in contents.messages[channels.STATE]}
+    taken = range(first + 1, first + steps + 1)
+    target_shapes = [shapes.get(i, np.full(modes, np.nan)) for i in taken]
+    pushes = sorted(contents.messages.get(channels.FORCES, []), key=lambda message: message[0])
+    return {
+        "time": np.array([times[first + i] for i in range(steps + 1)]),
+        "states": np.array([states[first + i] for i in range(steps + 1)]),
+        "target_shapes": np.array(target_shapes).reshape(steps, modes),
+        "clearance": np.array([contacts.get(i, [np.nan])[0] for i in taken], float),
+        "contacts": tuple(
+            LoggedContacts(sequence - first, *contacts_of(message))
+            for sequence, _, message in pushes
+            if sequence <= first + steps
+        ),
+    }
+
+
 def _cycles(
-    contents: _Contents, numbers: dict[str, dict], first: int, steps: int, cut: bool
+    contents: Contents, numbers: Numbers, first: int, steps: int, cut: bool
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Return the arrays of the cycles, and the topics that a filter has left out of them.
 
@@ -478,8 +382,8 @@ def _cycles(
 
     def rows(topic: str) -> np.ndarray:
         """Return the numbers of each cycle; none if the topic is missing."""
-        found = [numbers[topic][n] if topic not in missing else [] for n in ends]
-        return np.array(found, float).reshape(m, -1 if m and topic not in missing else 0)
+        entries: list[Any] = [numbers[topic][n] if topic not in missing else [] for n in ends]
+        return np.array(entries, float).reshape(m, -1 if m and topic not in missing else 0)
 
     reward = rows(channels.REWARD)
     return {

@@ -167,11 +167,13 @@ class Recorder:
 
     def _decisions_of(self, context: Mapping[str, Any]) -> int:
         """Return how many decisions a gait cycle has: as a context's navigation says, or the surrogate."""
-        told = context.get("navigation", {})
-        if dataclasses.is_dataclass(told) and not isinstance(told, type):
-            told = dataclasses.asdict(told)
+        navigation = context.get("navigation", {})
+        if dataclasses.is_dataclass(navigation) and not isinstance(navigation, type):
+            navigation = dataclasses.asdict(navigation)
         surrogate = self._files.surrogate
-        return told.get("decisions_per_cycle", surrogate.decisions_per_cycle if surrogate else 1)
+        return navigation.get(
+            "decisions_per_cycle", surrogate.decisions_per_cycle if surrogate else 1
+        )
 
     def _open(self) -> Writer:
         """Open the file; return what writes it."""

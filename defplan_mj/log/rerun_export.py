@@ -194,11 +194,11 @@ def _plot(
 
 def _write_laser(rr: Any, recording: Any, log: EpisodeLog) -> None:
     """Write where the sensor saw something, at each decision; nothing if its plugin is not here."""
-    told = log.configuration.get("navigation") or {}
+    settings = log.configuration.get("navigation") or {}
     navigation = Navigation(
-        laser_range=float(told.get("laser_range", Navigation().laser_range)),
+        laser_range=float(settings.get("laser_range", Navigation().laser_range)),
         space=log.space,
-        sensor=told.get("sensor", ""),
+        sensor=settings.get("sensor", ""),
     )
     try:
         sensor = sensor_of(navigation)

@@ -30,15 +30,15 @@ def find_logs(places: str | Path | Iterable[str | Path]) -> list[Path]:
         DefplanError: there is no such place, or a folder holds none.
     """
     paths = [places] if isinstance(places, str | Path) else list(places)
-    found: list[Path] = []
+    logs: list[Path] = []
     for path in map(Path, paths):
         if not path.exists():
             raise DefplanError(f"log {path} does not exist")
         inside = sorted(path.rglob("*.mcap")) if path.is_dir() else [path]
         if not inside:
             raise DefplanError(f"there is no log (.mcap) in {path}")
-        found += inside
-    return list(dict.fromkeys(found))
+        logs += inside
+    return list(dict.fromkeys(logs))
 
 
 def steps(logs: Logs) -> dict[str, np.ndarray]:
@@ -68,12 +68,12 @@ def table(name: str, logs: Logs, progress: Progress = no_progress) -> dict[str, 
         DefplanError: a log cannot be read.
     """
     given = [logs] if isinstance(logs, str | Path | EpisodeLog) else list(logs)
-    wanted: list[Path | EpisodeLog] = []
+    sources: list[Path | EpisodeLog] = []
     for one in given:
-        wanted += [one] if isinstance(one, EpisodeLog) else find_logs(one)
+        sources += [one] if isinstance(one, EpisodeLog) else find_logs(one)
     parts = []
-    for number, one in enumerate(wanted):
-        progress(f"reading logs: {name}", number / len(wanted))
+    for number, one in enumerate(sources):
+        progress(f"reading logs: {name}", number / len(sources))
         log = one if isinstance(one, EpisodeLog) else read_log(one)
         columns = [field.columns(log) for field in TABLES[name]]
         parts.append({k: v for part in columns for k, v in part.items()})

@@ -53,8 +53,8 @@ class Solved:
 
     def to_json(self) -> dict[str, Any]:
         """Return what the run keeps of a try."""
-        told = {"tried": self.attempt.words, "seed": self.attempt.seed}
-        return {**told, "steps_per_cycle": self.attempt.steps, "faults": faults(self.skills)}
+        entry = {"tried": self.attempt.words, "seed": self.attempt.seed}
+        return {**entry, "steps_per_cycle": self.attempt.steps, "faults": faults(self.skills)}
 
 
 Solve = Callable[[Attempt], "Gait"]
@@ -153,9 +153,11 @@ def require_steering(run: Run) -> None:
     document = verdicts_of(run)
     if document["steers"]:
         return
-    told = document["skills"]
-    failed = "; ".join(f"{skill['name']} {skill['fault']}" for skill in told if not skill["kept"])
-    left = ", ".join(skill["name"] for skill in told if skill["kept"]) or "none"
+    verdicts = document["skills"]
+    failed = "; ".join(
+        f"{skill['name']} {skill['fault']}" for skill in verdicts if not skill["kept"]
+    )
+    left = ", ".join(skill["name"] for skill in verdicts if skill["kept"]) or "none"
     tried = ", ".join(one["tried"] for one in document.get("tries", ()))
     raise DefplanError(
         f"{run.plan.spec.name}: these gaits cannot steer, so nothing is trained: {failed or 'none failed'};"

@@ -125,18 +125,18 @@ def why_anew(
 
 def _differences(was: Mapping[str, Any], now: Mapping[str, Any], before: str = "") -> list[str]:
     """Return what differs between the fields of a task, table by table."""
-    told = []
+    clauses = []
     for name in [*now, *(name for name in was if name not in now)]:
         old, new = was.get(name), now.get(name)
         if old == new:
             continue
         if isinstance(old, Mapping) and isinstance(new, Mapping):
-            told += _differences(old, new, f"{before}{name}.")
+            clauses += _differences(old, new, f"{before}{name}.")
         elif any(isinstance(value, Mapping | list) for value in (old, new)):
-            told.append(f"{before}{name} changed")
+            clauses.append(f"{before}{name} changed")
         else:
-            told.append(f"{before}{name} is {_value_text(new)}, was {_value_text(old)}")
-    return told
+            clauses.append(f"{before}{name} is {_value_text(new)}, was {_value_text(old)}")
+    return clauses
 
 
 def _other_reason(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:

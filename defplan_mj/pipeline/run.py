@@ -261,7 +261,7 @@ def open_run(
     if fresh and whole:
         plan.check()  # before anything is forgotten
     was_whole = before.get("whole") is True or has_run(path)
-    with RunFolder(path, _configuration(plan, before, whole or was_whole), fresh) as folder:
+    with RunFolder(path, _configuration(plan, before, whole, was_whole), fresh) as folder:
         if before and before.get(TASK_FILE) != folder.config.get(TASK_FILE):
             folder.keep_config()
         yield Run(plan, folder, progress, consent, anew, was_whole, lenders)
@@ -271,8 +271,8 @@ def _check_task(
     path: Path, spec: TaskSpec, before: Mapping[str, Any], consent: Consent, fresh: bool
 ) -> None:
     """Make sure that a folder is not shared by two tasks of one name, unless that is agreed to."""
-    told = before.get(TASK_FILE)
-    there = Path(told) if isinstance(told, str) else None
+    file = before.get(TASK_FILE)
+    there = Path(file) if isinstance(file, str) else None
     moved = there is not None and not there.is_file()
     if not before or moved or _same(there, spec.file) or fresh or consent.remake:
         return
@@ -295,13 +295,19 @@ def _same(one: Path | None, other: Path | None) -> bool:
     return one == other or (other.exists() and one.samefile(other))
 
 
-def _configuration(plan: Plan, before: Mapping[str, Any], whole: bool) -> dict[str, Any]:
-    """Return what run.json says the run was asked for."""
+def _configuration(
+    plan: Plan, before: Mapping[str, Any], whole: bool, was_whole: bool
+) -> dict[str, Any]:
+    """Return what run.json says the run was asked for.
+
+    Args:
+        whole, was_whole: a whole run is asked for now; the folder holds one.
+    """
     config: dict[str, Any] = {"task": plan.spec.name, "seed": plan.options.seed}
     config |= {name: getattr(plan.options, name) for name in CONFIGURATION}
     if plan.spec.file is not None:
         config[TASK_FILE] = str(plan.spec.file)
-    config["whole"] = whole
+    config["whole"] = whole or was_whole
     if not whole:  # what is tried beside the run's own does not take its place
         config |= {name: kept_options(before).get(name) for name in ("planner", "feedback")}
     return config

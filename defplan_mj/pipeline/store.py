@@ -152,15 +152,15 @@ class RunFolder:
         Returns:
             whether it was. A stage that is here already with these inputs stays.
         """
-        own, wanted = self.records.get(name), input_hash(inputs)
-        if own is not None and own.inputs == wanted and self.whole(name):
+        own, asked_for = self.records.get(name), input_hash(inputs)
+        if own is not None and own.inputs == asked_for and self.whole(name):
             return False
         record = _read(lender)[1].get(name)
-        if record is None or record.inputs != wanted:
+        if record is None or record.inputs != asked_for:
             return False
         try:
-            for file, told in record.files.items():
-                if file_hash(lender / file) != told:
+            for file, digest in record.files.items():
+                if file_hash(lender / file) != digest:
                     return False
             for file in record.files:
                 files.copy_file(lender / file, self.file(file))

@@ -69,10 +69,10 @@ class Switched:
 
 def check_decisions(surrogate: Surrogate, navigation: Navigation) -> None:
     """Raise a DefplanError unless a surrogate is of as many decisions a cycle as the task."""
-    told, wanted = surrogate.decisions_per_cycle, navigation.decisions_per_cycle
-    if told != wanted:
+    own, asked = surrogate.decisions_per_cycle, navigation.decisions_per_cycle
+    if own != asked:
         raise DefplanError(
-            f"the surrogate is of {told} decisions a gait cycle and the task of {wanted}: fit the surrogate"
+            f"the surrogate is of {own} decisions a gait cycle and the task of {asked}: fit the surrogate"
             " for this task"
         )
 

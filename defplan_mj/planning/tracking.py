@@ -200,11 +200,11 @@ class Tracker:
             if not len(free):
                 break
             mean, covariance, label = self._new(points[free], attempt / ROUNDS)
-            found = np.unique(label[label >= 0])
-            mean, covariance = mean[found], covariance[found]
+            labels = np.unique(label[label >= 0])
+            mean, covariance = mean[labels], covariance[labels]
             number = self._known_as(mean, covariance)
             owner = owner.copy()
-            for ball, index in enumerate(found):
+            for ball, index in enumerate(labels):
                 owner[free[label == index]] = number[ball]
         return owner
 
@@ -315,16 +315,16 @@ def _fitted(
     own = owner == np.arange(len(mean))[:, None]
     prior, information = mean, np.linalg.inv(covariance)
     mean = mean if start is None else start
-    told = information
+    precision = information
     for _ in range(ITERATIONS):
         gap, gradient = _rows(mean, points)
         weight = own / (NOISE**2 * (1 + (gap / (3 * NOISE)) ** 2))
-        told = information.copy()
-        told[:, :part, :part] += np.einsum("tp,tpi,tpj->tij", weight, gradient, gradient)
+        precision = information.copy()
+        precision[:, :part, :part] += np.einsum("tp,tpi,tpj->tij", weight, gradient, gradient)
         pull = np.einsum("tij,tj->ti", information, prior - mean)
         pull[:, :part] -= np.einsum("tp,tp,tpi->ti", weight, gap, gradient)
-        mean = mean + np.linalg.solve(told, pull[..., None])[..., 0]
+        mean = mean + np.linalg.solve(precision, pull[..., None])[..., 0]
         mean[:, d] = np.maximum(mean[:, d], 0.05)
     gap, _ = _rows(mean, points)
     fits = (own & (np.abs(gap) < GATE)).any(0)
-    return mean, np.linalg.inv(told), np.where(fits, owner, -1)
+    return mean, np.linalg.inv(precision), np.where(fits, owner, -1)

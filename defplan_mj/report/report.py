@@ -53,12 +53,12 @@ def write_report(run_folder: str | Path, progress: Progress = no_progress) -> Pa
     for i, make in enumerate(SECTIONS):
         progress("report", i / len(SECTIONS))
         sections.append(_made(make, material))
-    told = material.spec.description if material.spec else ""
+    description = material.spec.description if material.spec else ""
     seed = material.config.get("seed", _seed_of(material.folder))
     page = render_page(
         material.task,
         f"seed {seed}",
-        f"{told[:1].upper()}{told[1:]}. {_MADE}" if told else "",
+        f"{description[:1].upper()}{description[1:]}. {_MADE}" if description else "",
         _made(summary, material),
         sections,
     )

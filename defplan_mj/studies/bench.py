@@ -343,16 +343,16 @@ def vector_steps_per_s(name: str, repeats: int) -> dict[str, int] | None:
         "smooth": [0.5 * np.sin(start + turn) for turn in turns],
         "random": [rng.uniform(-1, 1, size) for _ in turns],
     }
-    found = {}
+    rates = {}
     for kind, each in actions.items():
         env.reset(seed=0)
         env.step(each[0])
         begin = time.perf_counter()
         for action in each:
             env.step(action)
-        found[kind] = round(repeats * VECTOR_ENVIRONMENTS / (time.perf_counter() - begin))
+        rates[kind] = round(repeats * VECTOR_ENVIRONMENTS / (time.perf_counter() - begin))
     env.close()
-    return found
+    return rates
 
 
 def _transition(

@@ -130,9 +130,9 @@ def main() -> None:
             robot.dynamics, robot.gait, options.pairs, options.seed, decisions=m
         )
         seconds = time.process_time() - begun
-        told = surrogate.switching.held_out if surrogate.switching else {}
+        held_out = surrogate.switching.held_out if surrogate.switching else {}
         off = [
-            f"{told[f'{key}place_m']:.4f} m, {told[f'{key}turn_rad']:.4f} rad"
+            f"{held_out[f'{key}place_m']:.4f} m, {held_out[f'{key}turn_rad']:.4f} rad"
             for key in ("plain_", "")
         ]
         _line([m, *off, surrogate.rest + 1, f"{seconds:.0f}"])

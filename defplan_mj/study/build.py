@@ -54,11 +54,11 @@ def _plugins() -> list[str]:
     """Return the plugins with the source they come from."""
     from defplan_mj.pipeline.provenance import source_hash
 
-    told = []
+    entries = []
     for group in (registry.TASKS, registry.SOLVERS, registry.SENSORS):
         for name, module in sorted(registry.modules(group).items()):
-            told.append(f"{name} {source_hash([module])[:12]}")
-    return told
+            entries.append(f"{name} {source_hash([module])[:12]}")
+    return entries
 
 
 def _hash(paths: list[Path]) -> str:
@@ -71,12 +71,12 @@ def _hash(paths: list[Path]) -> str:
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
     """Return what is not the same, each as a clause."""
-    told = []
+    clauses = []
     for name in [*here, *(name for name in there if name not in here)]:
         one, other = here.get(name, "not there"), there.get(name, "not there")
         if one != other:
-            told.append(_clause(name, one, other))
-    return told
+            clauses.append(_clause(name, one, other))
+    return clauses
 
 
 def _clause(name: str, one: str, other: str) -> str:
@@ -89,10 +89,10 @@ def _clause(name: str, one: str, other: str) -> str:
 
 def require_same(build: Mapping[str, str]) -> None:
     """Raise DefplanError unless this machine has what the study's own has; none: it is not asked."""
-    told = differences(build, build_of()) if build else []
-    if told:
+    clauses = differences(build, build_of()) if build else []
+    if clauses:
         import socket
 
         raise DefplanError(
-            f"the machine {socket.gethostname()} would not give the same results: {'; '.join(told)}"
+            f"the machine {socket.gethostname()} would not give the same results: {'; '.join(clauses)}"
         )

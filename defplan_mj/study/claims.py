@@ -66,42 +66,44 @@ class Robot:
         return cycles * self.spec.steps_per_cycle, cycles
 
 
-def _verdict(told: Sequence[bool | None]) -> str:
+def _verdict(answers: Sequence[bool | None]) -> str:
     """Return the verdict of all robots; None: so few episodes do not decide it."""
-    if not told:
+    if not answers:
         return OPEN
-    if all(one is None for one in told):
+    if all(one is None for one in answers):
         return UNDECIDED
-    if all(told):
+    if all(answers):
         return HOLDS
-    return NOT if not any(told) and None not in told else PART
+    return NOT if not any(answers) and None not in answers else PART
 
 
-def _evidence(how: str, told: Sequence[str]) -> str:
+def _evidence(how: str, figures: Sequence[str]) -> str:
     return (
-        f"{how}: {'; '.join(told)}" if told else f"no run of this study has what it takes ({how})"
+        f"{how}: {'; '.join(figures)}"
+        if figures
+        else f"no run of this study has what it takes ({how})"
     )
 
 
 def training_targets(robots: Sequence[Robot]) -> Claim:
     """All training targets are reached without a touch."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for robot in robots:
         checked = rate(robot.of("learned"), "k2_success", "k2_episodes")
         bare = rate(robot.of("learned"), "k2_unchecked_success", "k2_unchecked_episodes")
         if checked and bare:
             good.append(bare[0] == 1.0)
-            told.append(
+            figures.append(
                 f"{robot.spec.name} {share(bare)}, with the collision check {share(checked)}"
             )
     return Claim("All training targets are reached without touching an obstacle.",
-                 _verdict(good), _evidence("without the collision check", told))  # fmt: skip
+                 _verdict(good), _evidence("without the collision check", figures))  # fmt: skip
 
 
 def surrogate_valid(robots: Sequence[Robot]) -> Claim:
     """The deviations of Table III are small."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for robot in robots:
         s = robot.surrogate
@@ -110,7 +112,7 @@ def surrogate_valid(robots: Sequence[Robot]) -> Claim:
         turns = (s.rotation_sd <= _SMALL) | (s.rotation_sd <= _LARGE * s.rotation_mean)
         ways = (s.translation_sd <= _SMALL) | (s.translation_sd <= _LARGE * s.translation_mean)
         good.append(bool(turns.all() and ways.all()))
-        told.append(
+        figures.append(
             f"{robot.spec.name} {int((turns & ways).sum())} of {len(turns)} gaits (largest"
             f" {s.rotation_sd.max():.3f} rad, {s.translation_sd.max():.3f} m)"
         )
@@ -119,14 +121,14 @@ def surrogate_valid(robots: Sequence[Robot]) -> Claim:
         _verdict(good),
         _evidence(
             f"small: below {_SMALL} rad or m, or {percent(_LARGE)} of the mean",
-            told,
+            figures,
         ),
     )
 
 
 def two_orders(robots: Sequence[Robot]) -> Claim:
     """f_fit is at least two orders of magnitude faster than f reduced, a cycle for a cycle."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for robot in robots:
         if not robot.measures:
@@ -134,7 +136,7 @@ def two_orders(robots: Sequence[Robot]) -> Claim:
         cycle = robot.measures["reduced_step_s"] * robot.spec.steps_per_cycle
         fit = robot.measures["surrogate_cycle_s"]
         good.append(cycle >= 100 * fit)
-        told.append(
+        figures.append(
             f"{robot.spec.name} {duration(cycle)} against {duration(fit)}, {cycle / fit:.0f}×"
         )
     return Claim(
@@ -143,14 +145,14 @@ def two_orders(robots: Sequence[Robot]) -> Claim:
         _evidence(
             "processor time of a cycle of the reduced dynamics, without laser, against one of the "
             "surrogate, with it",
-            told,
+            figures,
         ),
     )
 
 
 def direct_learning(robots: Sequence[Robot]) -> Claim:
     """DQL on the reduced dynamics itself takes more than 48 hours."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for robot in robots:
         if not robot.measures:
@@ -163,21 +165,21 @@ def direct_learning(robots: Sequence[Robot]) -> Claim:
         calls = paper_calls(robot.spec.paper)
         if theirs and calls:
             text += f" (by the paper's own figures {duration(_ITERATIONS * calls[0] * theirs)})"
-        told.append(text)
+        figures.append(text)
     return Claim(
         "Deep Q-learning on the reduced dynamics itself takes more than 48 hours.",
         _verdict(good),
         _evidence(
             f"extrapolated, not run: {_ITERATIONS} iterations times the steps of one (Table II) times the "
             "processor seconds of a step, for the dynamics alone",
-            told,
+            figures,
         ),
     )
 
 
 def faster_than_sampling(robots: Sequence[Robot]) -> Claim:
     """Much faster than a sampling-based planner."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for robot in robots:
         ours = mean(robot.of("learned"), "novel_decision")
@@ -185,7 +187,7 @@ def faster_than_sampling(robots: Sequence[Robot]) -> Claim:
         if ours and theirs:
             good.append(theirs[0] > 10 * ours[0])
             arrive = rate(robot.of("sampling"), "novel_success", "novel_episodes")
-            told.append(
+            figures.append(
                 f"{robot.spec.name} {ours[0]:.2f} ms against {theirs[0]:.2f} ms a decision (it reaches"
                 f" {share(arrive)})"
             )
@@ -196,14 +198,14 @@ def faster_than_sampling(robots: Sequence[Robot]) -> Claim:
             "ten times counts as much; the median decision in unseen scenes, both with the collision check; "
             "the RRT has the full map, grows a tree over the surrogate's gaits and follows its way while that "
             "is free",
-            told,
+            figures,
         ),
     )
 
 
 def open_loop(robots: Sequence[Robot], feedback: str) -> Claim:
     """Open loop is not robust enough for walkers."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for robot in robots:
         bare, closed = falls(dict(robot.measures), ("none", feedback))
@@ -211,21 +213,21 @@ def open_loop(robots: Sequence[Robot], feedback: str) -> Claim:
             continue
         apart = wilson_interval(*bare)[0] > wilson_interval(*closed)[1]
         good.append(True if apart else None if bare[0] > closed[0] else False)
-        told.append(f"{robot.spec.name} {bare[0]} falls of {bare[1]} cycles against {closed[0]}")
+        figures.append(f"{robot.spec.name} {bare[0]} falls of {bare[1]} cycles against {closed[0]}")
     return Claim(
         "An open-loop gait is not robust for walking; feedback is needed.",
         _verdict(good),
         _evidence(
             f"pushes of {PUSH} m/s once a cycle, open loop against feedback {feedback}; holds where the 95% "
             "intervals (Wilson) are apart",
-            told,
+            figures,
         ),
     )
 
 
 def gets_stuck(robots: Sequence[Robot]) -> Claim:
     """Without global information it gets stuck."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for robot in robots:
         memoryless = rate(robot.of("memoryless"), "novel_timeout", "novel_episodes")
@@ -234,7 +236,7 @@ def gets_stuck(robots: Sequence[Robot]) -> Claim:
         if memoryless and bound:
             more = memoryless[0] > bound[0]
             good.append(True if memoryless[1] > bound[2] else None if more else False)
-            told.append(
+            figures.append(
                 f"{robot.spec.name} {share(memoryless)} without memory, {share(learned)} learned,"
                 f" {share(bound)} with the full map"
             )
@@ -244,22 +246,22 @@ def gets_stuck(robots: Sequence[Robot]) -> Claim:
         _evidence(
             "time-outs in unseen scenes, with the collision check; the learned planner here remembers where it "
             "was, the paper's did not",
-            told,
+            figures,
         ),
     )
 
 
 def moving_limits(robots: Sequence[Robot]) -> Claim:
     """Limited capability with moving obstacles."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for robot in robots:
-        found = [rate(robot.of("learned"), moving_name(s), "moving_episodes") for s in SPEEDS]
-        if all(found):
-            slow, fast = found[0], found[-1]
+        rates = [rate(robot.of("learned"), moving_name(s), "moving_episodes") for s in SPEEDS]
+        if all(rates):
+            slow, fast = rates[0], rates[-1]
             assert slow is not None and fast is not None
             good.append(True if fast[2] < 1.0 else None if fast[0] < 1.0 else False)
-            told.append(
+            figures.append(
                 f"{robot.spec.name} {share(slow)} at {SPEEDS[0]:g}, {share(fast)} at {SPEEDS[-1]:g} m/s"
             )
     return Claim(
@@ -267,40 +269,40 @@ def moving_limits(robots: Sequence[Robot]) -> Claim:
         _verdict(good),
         _evidence(
             "training targets, with the collision check",
-            told,
+            figures,
         ),
     )
 
 
 def real_time(robots: Sequence[Robot]) -> Claim:
     """The planner runs in real time."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for robot in robots:
-        found: Estimate | None = mean(robot.of("learned"), "novel_real_time")
-        if found:
-            good.append(found[0] > 1)
-            told.append(f"{robot.spec.name} {found[0]:.1f}×")
+        factor: Estimate | None = mean(robot.of("learned"), "novel_real_time")
+        if factor:
+            good.append(factor[0] > 1)
+            figures.append(f"{robot.spec.name} {factor[0]:.1f}×")
     return Claim(
         "Planning and the reduced simulation together run in real time.",
         _verdict(good),
         _evidence(
             "simulated seconds a second of decision, physics and collision checks on one core",
-            told,
+            figures,
         ),
     )
 
 
 def within_a_day(robots: Sequence[Robot]) -> Claim:
     """Training takes less than a day."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for robot in robots:
         gait = mean(robot.of("learned"), "solver_seconds")
         planner = mean(robot.of("learned"), "planner_seconds")
         if gait and planner:
             good.append(gait[0] + planner[0] < 86400)
-            told.append(
+            figures.append(
                 f"{robot.spec.name} {duration(gait[0])} gaits and {duration(planner[0])} planner"
             )
     return Claim(
@@ -308,42 +310,44 @@ def within_a_day(robots: Sequence[Robot]) -> Claim:
         _verdict(good),
         _evidence(
             "wall time on this machine; of packaged gaits when they were made",
-            told,
+            figures,
         ),
     )
 
 
 def recipe(robots: Sequence[Robot]) -> Claim:
     """The paper's own recipe gives such planners."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for robot in robots:
-        found = rate(robot.of("recipe"), "k2_unchecked_success", "k2_unchecked_episodes")
-        if found:
-            good.append(found[0] == 1.0)
-            told.append(f"{robot.spec.name} {share(found)}")
+        arrivals = rate(robot.of("recipe"), "k2_unchecked_success", "k2_unchecked_episodes")
+        if arrivals:
+            good.append(arrivals[0] == 1.0)
+            figures.append(f"{robot.spec.name} {share(arrivals)}")
     return Claim(
         "Its own recipe of deep Q-learning gives planners that reach all training targets.",
         _verdict(good),
-        _evidence("trained by the paper's own recipe, all iterations", told),
+        _evidence("trained by the paper's own recipe, all iterations", figures),
     )
 
 
 def tunnel(runs: Mapping[str, Sequence[Row]]) -> Claim:
     """The CNN trained end to end steers through a tunnel; runs by what they are called, task and planner."""
-    told: list[str] = []
+    figures: list[str] = []
     good: list[bool | None] = []
     for name, rows in runs.items():
-        figures = arrival_rates(rows)
-        if figures[0] is None:
+        rates = arrival_rates(rows)
+        if rates[0] is None:
             continue
-        good.append(figures[0][0] == 1.0)
-        shares = [share(figure) if figure else "not run" for figure in figures]
-        told.append(f"{name} {shares[0]}, unseen {shares[1]}, without the check {shares[2]}")
+        good.append(rates[0][0] == 1.0)
+        shares = [share(one) if one else "not run" for one in rates]
+        figures.append(f"{name} {shares[0]}, unseen {shares[1]}, without the check {shares[2]}")
     return Claim(
         "The same gaits, with the planner trained anew end to end, swim through a tunnel (Fig. 7).",
         _verdict(good),
-        _evidence("holds if all training tunnels are gone through, with the collision check", told),
+        _evidence(
+            "holds if all training tunnels are gone through, with the collision check", figures
+        ),
     )
 
 

@@ -256,10 +256,10 @@ def require_workers(client: Client, where: str) -> str:
     for address, build in client.run(_build).items():
         if isinstance(build, str):
             raise DefplanError(f"the worker {address} cannot load defplan: {build}")
-        if told := differences(here, build):
+        if clauses := differences(here, build):
             raise DefplanError(
                 f"the worker {address} would not give the same results as this machine:"
-                f" {'; '.join(told)}"
+                f" {'; '.join(clauses)}"
             )
     return (
         f"{len(workers)} workers, all with defplan {here['defplan']}, the compiled kernel"

@@ -13,7 +13,7 @@ from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.study.spec import MOST_RUNS, Study
 from defplan_mj.task import Effort
-from defplan_mj.taskfile.find import EFFORT, find_task, mesh_task_name
+from defplan_mj.taskfile.find import EFFORT, find_task, mesh_task_name, mesh_task_solvers
 
 
 @dataclass(frozen=True)
@@ -86,13 +86,13 @@ def cells(study: Study) -> list[Cell]:
         count *= len(axis)
     if count > MOST_RUNS:
         raise DefplanError(f"{study.file}: {count} runs are more than {MOST_RUNS}")
-    found: dict[Path, Cell] = {}
+    by_folder: dict[Path, Cell] = {}
     for cell in _every(study, _robots(study)):
         if not any(cell.says(entry) for entry in study.leave_out):
-            found.setdefault(cell.folder, cell)
-    if not found:
+            by_folder.setdefault(cell.folder, cell)
+    if not by_folder:
         raise DefplanError(f"{study.file}: all runs are left out by leave_out")
-    return list(found.values())
+    return list(by_folder.values())
 
 
 @dataclass(frozen=True)
@@ -111,17 +111,21 @@ class _Robot:
 
 def _robots(study: Study) -> list[_Robot]:
     """Return the study's tasks, and those that are to be guessed of its meshes."""
-    found = []
+    robots = []
     for source in study.tasks:
         spec = find_task(source)
         names = (spec.name, spec.gait_solver, spec.planner, spec.feedback)
         stands = bool(spec.navigation.scenes)
-        found.append(_Robot(source, *names, effort=spec.effort, stands=stands))
+        robots.append(_Robot(source, *names, effort=spec.effort, stands=stands))
     for mesh in study.meshes:
         name = mesh_task_name(Path(mesh), study.medium)
-        gait, planner, feedback = (registry.quick_solver(kind) for kind in registry.KINDS)
-        found.append(_Robot(mesh, name, gait, planner, feedback, study.medium, EFFORT))
-    return found
+        chosen = mesh_task_solvers(study.medium)
+        gait, planner, feedback = (
+            chosen[field] or registry.default_solver(kind)
+            for field, kind in registry.CHOICES.items()
+        )
+        robots.append(_Robot(mesh, name, gait, planner, feedback, study.medium, EFFORT))
+    return robots
 
 
 def _every(study: Study, robots: Sequence[_Robot]) -> Iterator[Cell]:
@@ -169,5 +173,5 @@ class Lenders:
 
     def of(self, cell: Cell) -> list[Path]:
         """Return folders to look in, the likeliest first."""
-        told = [*self._gaits[cell.gaits], *self._bodies[cell.source]]
-        return [folder for folder in dict.fromkeys(told) if folder != cell.folder]
+        folders = [*self._gaits[cell.gaits], *self._bodies[cell.source]]
+        return [folder for folder in dict.fromkeys(folders) if folder != cell.folder]

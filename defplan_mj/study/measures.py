@@ -53,13 +53,13 @@ def measured(root: Path, spec: TaskSpec, run: Path, feedback: str, progress: Pro
         "steps": FULL_STEPS,
         "clock": "processor",
     }
-    told = kept.get(spec.name)
-    if isinstance(told, dict) and told.get("of") == key:
-        return told
+    entry = kept.get(spec.name)
+    if isinstance(entry, dict) and entry.get("of") == key:
+        return entry
     threads.limit_threads(1)
     progress(f"{spec.name}: times of a step", 0.0)
     dynamics = spec.dynamics(body)
-    found: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "of": key,
         "elements": int(gait.alpha.shape[1]),
         "reduced_step_s": _reduced_step(dynamics, gait),
@@ -67,8 +67,8 @@ def measured(root: Path, spec: TaskSpec, run: Path, feedback: str, progress: Pro
         "full_step_s": _full_step(spec, body, gait),
         "robustness": _robustness(spec, dynamics, gait, feedback, progress),
     }
-    write_json(root / FILE, {**kept, spec.name: found})
-    return found
+    write_json(root / FILE, {**kept, spec.name: figures})
+    return figures
 
 
 def _kept(root: Path) -> dict[str, Any]:
@@ -137,14 +137,14 @@ def _robustness(
     return measure_robustness(dynamics, gait, solvers, [CALM, *pushed], CYCLES, 0, progress)
 
 
-def falls(told: dict[str, Any], names: Sequence[str]) -> list[tuple[int, int] | None]:
+def falls(figures: dict[str, Any], names: Sequence[str]) -> list[tuple[int, int] | None]:
     """Return falls and cycles among pushes of each feedback; None: it was not measured."""
-    found: list[tuple[int, int] | None] = []
+    counts: list[tuple[int, int] | None] = []
     for name in names:
         rows = [
             row
-            for row in told.get("robustness", [])
+            for row in figures.get("robustness", [])
             if row["feedback"] == name and row["condition"] != CALM.name
         ]
-        found.append((rows[0]["falls"], rows[0]["cycles"]) if rows else None)
-    return found
+        counts.append((rows[0]["falls"], rows[0]["cycles"]) if rows else None)
+    return counts

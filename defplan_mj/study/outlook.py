@@ -52,17 +52,17 @@ def prospects(cells: Sequence[Cell], root: Path, logs: Path) -> list[Prospect]:
     there = {cell.folder: stage_seconds(root / cell.folder) for cell in cells}
     for cell in cells:
         shared |= {_shares(cell, _plain(key, cell)) for key in there[cell.folder]}
-    found = []
+    outlook = []
     for cell in cells:
         made = {_plain(key, cell) for key in there[cell.folder]}
         missing = [s for s in _stages(cell) if s not in made]
         state = "there" if not missing else "begun" if made else "to be made"
         due = [s for s in missing if s not in _SHARED or _shares(cell, s) not in shared]
         shared |= {_shares(cell, stage) for stage in due if stage in _SHARED}
-        told = [times.of(cell, stage) for stage in due]
-        seconds = None if None in told else sum(t for t in told if t is not None)
-        found.append(Prospect(cell, state, tuple(due), seconds))
-    return found
+        times_due = [times.of(cell, stage) for stage in due]
+        seconds = None if None in times_due else sum(t for t in times_due if t is not None)
+        outlook.append(Prospect(cell, state, tuple(due), seconds))
+    return outlook
 
 
 def _stages(cell: Cell) -> list[str]:
@@ -95,7 +95,7 @@ class _Times:
     """How long stages took in runs that are there."""
 
     def __init__(self, runs: Iterable[Path]) -> None:
-        self.told: dict[tuple[str, ...], list[float]] = {}
+        self.seconds_of: dict[tuple[str, ...], list[float]] = {}
         for folder in runs:
             config = read_config(folder)
             for key, seconds in stage_seconds(folder).items():
@@ -106,14 +106,14 @@ class _Times:
                 for known in _from_near_to_far(
                     stage, str(config.get("task")), names.get(stage, "")
                 ):
-                    self.told.setdefault(known, []).append(seconds / share)
+                    self.seconds_of.setdefault(known, []).append(seconds / share)
 
     def of(self, cell: Cell, stage: str) -> float | None:
         """Return about how long a stage of a run takes, s; None: there is no other to go by."""
         names = {"gait": cell.gait_solver, "planner": cell.planner}
         for known in _from_near_to_far(stage, cell.task, names.get(stage, "")):
-            if known in self.told:
-                return statistics.median(self.told[known]) * _share(stage, cell.asked)
+            if known in self.seconds_of:
+                return statistics.median(self.seconds_of[known]) * _share(stage, cell.asked)
         return None
 
 
@@ -123,9 +123,9 @@ def _from_near_to_far(stage: str, task: str, name: str) -> list[tuple[str, ...]]
 
 def _share(stage: str, options: object) -> float:
     """Return how many episodes or pairs a stage does: its time is in proportion to them."""
-    told = options if isinstance(options, dict) else dict(options)  # type: ignore[call-overload]
+    chosen = options if isinstance(options, dict) else dict(options)  # type: ignore[call-overload]
     if stage not in ("evaluation", "moving", "surrogate"):
         return 1.0
     name = {"evaluation": "episodes", "moving": "moving", "surrogate": "pairs"}[stage]
-    value = told.get(name) or getattr(_DEFAULTS, name)
+    value = chosen.get(name) or getattr(_DEFAULTS, name)
     return float(value) + (10 if stage == "evaluation" else 0)

@@ -64,10 +64,10 @@ def summary(findings: Findings) -> list[Fact]:
     failed = len(rows) - len(findings.good)
     facts = [Fact(str(len(rows)), "runs", f"{failed} of them failed")]
     for scenes, label in (("k2", "training targets"), ("novel", "unseen scenes")):
-        found = rate(rows, f"{scenes}_success", f"{scenes}_episodes")
-        if found:
-            detail = f"{label}, all runs; 95%: {100 * found[1]:.0f} to {100 * found[2]:.0f}%"
-            facts.append(Fact(percent(found[0]), "of episodes arrive", detail))
+        arrivals = rate(rows, f"{scenes}_success", f"{scenes}_episodes")
+        if arrivals:
+            detail = f"{label}, all runs; 95%: {100 * arrivals[1]:.0f} to {100 * arrivals[2]:.0f}%"
+            facts.append(Fact(percent(arrivals[0]), "of episodes arrive", detail))
     seconds = sum(row["total_seconds"] or 0.0 for row in rows)
     facts.append(Fact(duration(seconds), "of computing", "stages that runs share count in each"))
     return facts

@@ -85,13 +85,13 @@ def _folder(findings: Findings, rows: Sequence[Row]) -> Path | None:
 
 def _in_places(findings: Findings, places: Sequence[str]) -> dict[str, list[Row]]:
     """Return the runs in scenes that gaits were not made for, by task and planner."""
-    found: dict[str, list[Row]] = {}
+    by_label: dict[str, list[Row]] = {}
     for source in places:
         name = find_task(source).name
         for row in findings.good:
             if row["task"] == name:
-                found.setdefault(f"{name}, {row['planner']}", []).append(row)
-    return found
+                by_label.setdefault(f"{name}, {row['planner']}", []).append(row)
+    return by_label
 
 
 def _claims(
@@ -119,12 +119,12 @@ def _table_one(robots: Sequence[Robot]) -> Section:
     rows = []
     for robot in robots:
         paper, spec = robot.spec.paper, robot.spec
-        told = robot.of("learned")
+        learned = robot.of("learned")
         hours = {
             n: 3600 * paper[f"{n}_h"] for n in ("gait", "planner", "features") if f"{n}_h" in paper
         }
-        learning = mean(told, "planner_seconds")
-        gait = mean(told, "solver_seconds")
+        learning = mean(learned, "planner_seconds")
+        gait = mean(learned, "solver_seconds")
         rows.append(
             [
                 f"{spec.name}, paper",
@@ -140,7 +140,7 @@ def _table_one(robots: Sequence[Robot]) -> Section:
                 duration(hours.get("features")),
             ]
         )
-        one = told[0] if told else {}
+        one = learned[0] if learned else {}
         rows.append(
             [
                 f"{spec.name}, here",
@@ -281,8 +281,8 @@ def _figure_seven(findings: Findings, places: Sequence[str]) -> Section:
         spec = find_task(source)
         mine = _in_places(findings, [source])
         for own in mine.values():
-            told = [share(figure) for figure in arrival_rates(own)]
-            rows.append([spec.name, own[0]["planner"], spec.navigation.scenes, *told])
+            shares = [share(figure) for figure in arrival_rates(own)]
+            rows.append([spec.name, own[0]["planner"], spec.navigation.scenes, *shares])
         first = next(iter(mine.values()), [])
         if first and (logs := _logs(findings.root / first[0]["folder"])):
             drawn = [drawing(figure) for figure in overview_figures(logs)]
@@ -308,10 +308,10 @@ def _figure_seven(findings: Findings, places: Sequence[str]) -> Section:
 
 
 def _logs(folder: Path) -> list[EpisodeLog]:
-    found = []
+    logs = []
     for path in sorted(folder.glob("[!.]*.mcap")):
         try:
-            found.append(read_log(path))
+            logs.append(read_log(path))
         except DefplanError:
             continue
-    return found
+    return logs

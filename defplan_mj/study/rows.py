@@ -34,11 +34,11 @@ def labelled(rows: Sequence[Row]) -> dict[tuple[str, ...], str]:
 def grouped(rows: Sequence[Row]) -> dict[str, dict[str, list[Row]]]:
     """Return the rows by task and label of their method."""
     labels = labelled(rows)
-    found: dict[str, dict[str, list[Row]]] = {}
+    groups: dict[str, dict[str, list[Row]]] = {}
     for row in rows:
         label = labels[tuple(row[part] for part in METHOD)]
-        found.setdefault(row["task"], {}).setdefault(label, []).append(row)
-    return found
+        groups.setdefault(row["task"], {}).setdefault(label, []).append(row)
+    return groups
 
 
 def rate(rows: Sequence[Row], name: str, count: str) -> Estimate | None:
@@ -51,11 +51,11 @@ def rate(rows: Sequence[Row], name: str, count: str) -> Estimate | None:
         name: column of the share.
         count: column of the number of episodes.
     """
-    told = [row for row in rows if row[name] is not None and row[count]]
-    if not told:
+    counted = [row for row in rows if row[name] is not None and row[count]]
+    if not counted:
         return None
-    episodes = [int(row[count]) for row in told]
-    won = [round(row[name] * n) for row, n in zip(told, episodes, strict=True)]
+    episodes = [int(row[count]) for row in counted]
+    won = [round(row[name] * n) for row, n in zip(counted, episodes, strict=True)]
     centre, low, high = rate_over_seeds(won, episodes)
     least, most = wilson_interval(sum(won), sum(episodes))
     return centre, min(low, least), max(high, most)
@@ -75,11 +75,11 @@ def mean(rows: Sequence[Row], name: str) -> Estimate | None:
 
 def scores(rows: Sequence[Row], score: Callable[[Row], float]) -> dict[str, dict[str, np.ndarray]]:
     """Return scores by method and task, one a run."""
-    found: dict[str, dict[str, np.ndarray]] = {}
+    by_label: dict[str, dict[str, np.ndarray]] = {}
     for task, methods in grouped(rows).items():
         for label, own in methods.items():
-            found.setdefault(label, {})[task] = np.array([score(row) for row in own])
-    return found
+            by_label.setdefault(label, {})[task] = np.array([score(row) for row in own])
+    return by_label
 
 
 def success(row: Row) -> float:

@@ -69,14 +69,14 @@ def run_job(job: Job, progress: Progress = no_progress) -> Row:
         sentence = "the memory is used up: use fewer --jobs or a smaller mesh"
     except Exception as error:  # a plugin may fail in any way; the other runs go on
         sentence = f"this is a mistake in defplan or a plugin: {type(error).__name__}: {error}"
-    told = {"failed_in": "task", **made, "failed": True, "error": sentence}
-    return complete({**keys_of(job.cell), **told})
+    row = {"failed_in": "task", **made, "failed": True, "error": sentence}
+    return complete({**keys_of(job.cell), **row})
 
 
 def failed_row(cell: Cell, sentence: str, where: str) -> Row:
     """Return the row of a run that nothing is left of but a sentence."""
-    told = {"failed": True, "error": sentence, "failed_in": where}
-    return complete({**keys_of(cell), **told})
+    row = {"failed": True, "error": sentence, "failed_in": where}
+    return complete({**keys_of(cell), **row})
 
 
 def keys_of(cell: Cell) -> Row:
@@ -110,7 +110,11 @@ def _carry_out(job: Job, made: Row, progress: Progress) -> None:
     while True:
         try:
             with open_run(
-                *(spec, logs, cell.seed, chosen, progress),
+                spec,
+                logs,
+                cell.seed,
+                chosen,
+                progress,
                 whole=True,
                 consent=Consent(job.remake),
                 lenders=[job.root / folder for folder in job.lenders],
@@ -186,8 +190,8 @@ def _gait_figures(gait: Gait) -> Row:
     stages = [entry for entry in gait.meta.get("stages", []) if isinstance(entry, dict)]
     row: Row = {"gaits": len(gait.task_names), "steps_per_cycle": gait.steps_per_cycle}
     for name in ("iterations", "evaluations"):
-        told = [entry[name] for entry in stages if isinstance(entry.get(name), int)]
-        row[name] = sum(told) if told else None
+        counts = [entry[name] for entry in stages if isinstance(entry.get(name), int)]
+        row[name] = sum(counts) if counts else None
     return row
 
 
@@ -212,10 +216,10 @@ def _evaluation_figures(evaluation: Mapping[str, Any]) -> Row:
     row: Row = {}
     for scenes, both in evaluation.items():
         for suffix, result in (("", "with_shield"), ("_unchecked", "without_shield")):
-            told = without_rows(both[result])
-            row[f"{scenes}{suffix}_episodes"] = told["episodes"]
-            row[f"{scenes}{suffix}_cycles"] = told["cycles_mean"]
-            row |= {f"{scenes}{suffix}_{ending}": told[ending] for ending in ENDINGS}
+            figures = without_rows(both[result])
+            row[f"{scenes}{suffix}_episodes"] = figures["episodes"]
+            row[f"{scenes}{suffix}_cycles"] = figures["cycles_mean"]
+            row |= {f"{scenes}{suffix}_{ending}": figures[ending] for ending in ENDINGS}
         row[f"{scenes}_decision"] = both["with_shield"]["decision_ms"]
         row[f"{scenes}_real_time"] = both["with_shield"]["real_time_factor"]
     return row
@@ -231,9 +235,9 @@ def episode_rows(root: Path, cell: Cell) -> list[Row]:
         return []
 
 
-def _episodes(document: Mapping[str, Any], told: Row) -> Iterator[Row]:
+def _episodes(document: Mapping[str, Any], run: Row) -> Iterator[Row]:
     names = {column.name for column in EPISODE_COLUMNS}
-    keys = {name: told[name] for name in KEYS}
+    keys = {name: run[name] for name in KEYS}
     for scenes, both in document.items():
         for name, checked in (("with_shield", True), ("without_shield", False)):
             for episode in both[name]["rows"]:

@@ -101,12 +101,12 @@ def arrivals(findings: Findings) -> Section | None:
 def comparison(findings: Findings) -> Section | None:
     """Return rank, interquartile mean and probability of improvement of the methods."""
     steers = any(row["novel_success"] is not None for row in findings.rows)
-    found = scores(findings.rows, success if steers else lambda row: -gait_cost(row))
-    if len(found) < 2:
+    by_label = scores(findings.rows, success if steers else lambda row: -gait_cost(row))
+    if len(by_label) < 2:
         return None
-    ranks = mean_ranks(found)
+    ranks = mean_ranks(by_label)
     rows = []
-    for label, by_task in found.items():
+    for label, by_task in by_label.items():
         arrays = list(by_task.values())
         flat = np.concatenate(arrays)
         middle = interquartile_mean(flat) if np.isfinite(flat).all() else None
@@ -134,9 +134,9 @@ def comparison(findings: Findings) -> Section | None:
             "bootstrap intervals, each task's runs drawn among themselves.",
         )
     ]
-    labels = list(found)
+    labels = list(by_label)
     if len(labels) <= 12:
-        blocks.append(_improvements(labels, found))
+        blocks.append(_improvements(labels, by_label))
     return Section("comparison", "Which is better?", blocks)
 
 
@@ -144,16 +144,16 @@ def _negated(estimate: Estimate | None) -> Estimate | None:
     return None if estimate is None else (-estimate[0], -estimate[2], -estimate[1])
 
 
-def _improvements(labels: Sequence[str], found: dict[str, dict[str, np.ndarray]]) -> Table:
+def _improvements(labels: Sequence[str], by_label: dict[str, dict[str, np.ndarray]]) -> Table:
     rows = []
     for one in labels:
         cells = []
         for other in labels:
             try:
-                told = probability_of_improvement(found[one], found[other])
+                estimate = probability_of_improvement(by_label[one], by_label[other])
             except ValueError:
-                told = None
-            cells.append("–" if one == other or told is None else share(told))
+                estimate = None
+            cells.append("–" if one == other or estimate is None else share(estimate))
         rows.append([one, *cells])
     return Table(
         ["P(row better than column)", *labels],
@@ -195,7 +195,7 @@ def gait_solvers(findings: Findings) -> Section | None:
     if len(solvers) > 1:
         blocks += _profiles(findings.rows)
     points = {task: _points(findings, task) for task in findings.tasks}
-    drawn = [figures.scatter_figure(told, task) for task, told in points.items() if told]
+    drawn = [figures.scatter_figure(pairs, task) for task, pairs in points.items() if pairs]
     if not drawn:
         return Section("gait-solvers", "Gait solvers", blocks)
     blocks.append(
@@ -210,12 +210,12 @@ def gait_solvers(findings: Findings) -> Section | None:
 
 def _gait_runs(rows: Sequence[Row]) -> dict[tuple[str, str], list[Row]]:
     """Return one row for each seed of each task and gait solver: runs that share gaits are one."""
-    found: dict[tuple[str, str], dict[int, Row]] = {}
+    runs: dict[tuple[str, str], dict[int, Row]] = {}
     for row in rows:
-        of_seed = found.setdefault((row["task"], row["gait_solver"]), {})
+        of_seed = runs.setdefault((row["task"], row["gait_solver"]), {})
         if row["seed"] not in of_seed or of_seed[row["seed"]]["resimulated"] is None:
             of_seed[row["seed"]] = row
-    return {key: list(of_seed.values()) for key, of_seed in found.items()}
+    return {key: list(of_seed.values()) for key, of_seed in runs.items()}
 
 
 def _profiles(rows: Sequence[Row]) -> list[Block]:
@@ -226,13 +226,13 @@ def _profiles(rows: Sequence[Row]) -> list[Block]:
     for name, label in (("resimulated", "objective"), ("solver_seconds", "seconds")):
         costs = {}
         for solver in solvers:
-            told = {
+            costs_of = {
                 (task, row["seed"]): row[name]
                 for (task, own), many in runs.items()
                 if own == solver
                 for row in many
             }
-            values = [told.get(problem) for problem in problems]
+            values = [costs_of.get(problem) for problem in problems]
             costs[solver] = [np.inf if v is None or v <= 0 else v for v in values]
         if np.isfinite(np.array(list(costs.values()))).any():
             drawn.append(drawing(figures.profile_figure(*performance_profiles(costs), label)))
@@ -246,7 +246,7 @@ def _profiles(rows: Sequence[Row]) -> list[Block]:
 
 def _points(findings: Findings, task: str) -> dict[str, list[tuple[float, float]]]:
     """Return seconds and objective of each run, by solver; only of solvers that have any."""
-    found = {
+    pairs_of = {
         solver: [
             (row["solver_seconds"], row["resimulated"])
             for row in own
@@ -255,14 +255,14 @@ def _points(findings: Findings, task: str) -> dict[str, list[tuple[float, float]
         for (of, solver), own in _gait_runs(findings.rows).items()
         if of == task
     }
-    return {solver: pairs for solver, pairs in found.items() if pairs}
+    return {solver: pairs for solver, pairs in pairs_of.items() if pairs}
 
 
 def _falls(rows: Sequence[Row]) -> Estimate | None:
-    told = [dict(row) for row in rows if row["gait_cycles"]]
-    for row in told:
+    counted = [dict(row) for row in rows if row["gait_cycles"]]
+    for row in counted:
         row["gait_falls"] = row["gait_falls"] / row["gait_cycles"]
-    return rate(told, "gait_falls", "gait_cycles")
+    return rate(counted, "gait_falls", "gait_cycles")
 
 
 def moving(findings: Findings) -> Section | None:
@@ -271,9 +271,9 @@ def moving(findings: Findings) -> Section | None:
     for task, methods in grouped(findings.rows).items():
         curves = {}
         for label, own in methods.items():
-            told = [(s, rate(own, moving_name(s), "moving_episodes")) for s in SPEEDS]
-            if all(found is not None for _, found in told):
-                curves[label] = [(s, *found) for s, found in told if found]
+            rates = [(s, rate(own, moving_name(s), "moving_episodes")) for s in SPEEDS]
+            if all(estimate is not None for _, estimate in rates):
+                curves[label] = [(s, *estimate) for s, estimate in rates if estimate]
         if curves:
             drawn.append(drawing(figures.moving_figure(curves, task)))
     if not drawn:
@@ -311,15 +311,15 @@ def failures(findings: Findings) -> Section | None:
 
 def _endings(rows: Sequence[Row]) -> dict[str, float]:
     """Return the share of each ending among the episodes of all these runs."""
-    told = [row for row in rows if row["novel_episodes"]]
-    if not told:
+    evaluated = [row for row in rows if row["novel_episodes"]]
+    if not evaluated:
         return {"not run": 1.0}
-    part = len(told) / len(rows)
-    found = {
-        ending.value: part * float(np.mean([row[f"novel_{ending}"] or 0.0 for row in told]))
+    part = len(evaluated) / len(rows)
+    shares = {
+        ending.value: part * float(np.mean([row[f"novel_{ending}"] or 0.0 for row in evaluated]))
         for ending in ENDINGS
     }
-    return {**found, "not run": 1 - part}
+    return {**shares, "not run": 1 - part}
 
 
 def robots(findings: Findings) -> Section | None:
@@ -350,8 +350,10 @@ def times(findings: Findings) -> Section | None:
     rows = []
     for task, methods in grouped(findings.good).items():
         for label, own in methods.items():
-            told = [mean(own, f"{stage}_seconds") for stage in STAGES]
-            rows.append([f"{task}: {label}", *("–" if t is None else duration(t[0]) for t in told)])
+            means = [mean(own, f"{stage}_seconds") for stage in STAGES]
+            rows.append(
+                [f"{task}: {label}", *("–" if t is None else duration(t[0]) for t in means)]
+            )
     if not rows:
         return None
     caption = (
@@ -366,12 +368,12 @@ def making(findings: Findings) -> Section | None:
     blocks: list[Block] = []
     if findings.study.file.is_file():
         blocks.append(Code(findings.study.file.read_text(encoding="utf-8")))
-    told = [[f"{c.name}" + (f" ({c.unit})" if c.unit else ""), c.text] for c in COLUMNS]
+    texts = [[f"{c.name}" + (f" ({c.unit})" if c.unit else ""), c.text] for c in COLUMNS]
     caption = (
         "The columns of the table of runs, runs.parquet and runs.csv; episodes.parquet has a row for each "
         "episode."
     )
-    return Section("making", "How this was made", [*blocks, Table(["column", ""], told, caption)])
+    return Section("making", "How this was made", [*blocks, Table(["column", ""], texts, caption)])
 
 
 SECTIONS = (

@@ -212,10 +212,10 @@ class _Reader:
             if not isinstance(task, str):
                 self.fail(path, f"`tasks` has {task!r}: it must be names or paths in quotes")
             named = str(self.file.parent / Path(task).expanduser()) if is_file(task) else task
-            found = self.asked(path, partial(find_task, named)).name
-            if found in names:
-                self.fail(path, f"`tasks` has two of the name {found}: their runs would mix")
-            names.append(found)
+            name = self.asked(path, partial(find_task, named)).name
+            if name in names:
+                self.fail(path, f"`tasks` has two of the name {name}: their runs would mix")
+            names.append(name)
             tasks.append(named)
         return tuple(tasks)
 
@@ -225,7 +225,7 @@ class _Reader:
             return (), ""
         if medium not in MEDIA:
             self.fail(("medium",), f"`meshes` need a `medium`: water or ground, not {medium!r}")
-        found: dict[str, str] = {}
+        by_name: dict[str, str] = {}
         for mesh in self.row(data, path):
             if not isinstance(mesh, str) or not is_mesh(mesh):
                 self.fail(path, f"`meshes` has {mesh!r}: it must be paths of mesh files in quotes")
@@ -233,10 +233,10 @@ class _Reader:
             if not named.is_file():
                 self.fail(path, f"`meshes` has {mesh!r}: there is no such file")
             name = mesh_task_name(named, medium)
-            if name in found:
+            if name in by_name:
                 self.fail(path, f"`meshes` has two of the name {name}: their runs would mix")
-            found[name] = str(named)
-        return tuple(found.values()), medium
+            by_name[name] = str(named)
+        return tuple(by_name.values()), medium
 
     def seeds(self, data: Any, path: lines.Path) -> tuple[int, ...]:
         """Return the seeds: a list, or how many, from 0 on."""
@@ -279,17 +279,17 @@ class _Reader:
         """Return the variants, each with the options of all; one without a name if there is none."""
         if data is None:
             return (Variant("", base),)
-        found: list[Variant] = []
+        variants: list[Variant] = []
         for i, entry in enumerate(self.row(data, path)):
             here = (*path, i)
             if not isinstance(entry, dict) or "name" not in entry:
                 self.fail(here, "a variant is a table [[variants]] with a `name` and options")
             name = self.plain_name(entry["name"], (*here, "name"))
-            if name in (variant.name for variant in found):
+            if name in (variant.name for variant in variants):
                 self.fail((*here, "name"), f"there are two variants of the name {name}")
             own = {key: value for key, value in entry.items() if key != "name"}
-            found.append(Variant(name, {**base, **self.options(own, here)}))
-        return tuple(found)
+            variants.append(Variant(name, {**base, **self.options(own, here)}))
+        return tuple(variants)
 
     def leave_out(self, data: Any, path: lines.Path) -> tuple[Mapping[str, Any], ...]:
         """Return what is not made."""

@@ -219,7 +219,7 @@ def table_of(kind: Any) -> type | None:
 def fields_of(cls: type, table: str = "") -> tuple[Field, ...]:
     """Return the fields of a dataclass, in its order."""
     hints, texts = typing.get_type_hints(cls), attribute_texts(cls)
-    found = []
+    fields = []
     for field in dataclasses.fields(cls):
         if cls is TaskSpec and field.name in NOT_IN_A_FILE:
             continue
@@ -230,8 +230,8 @@ def fields_of(cls: type, table: str = "") -> tuple[Field, ...]:
             default = LEFT_OUT[field.name]
         path = f"{table}.{field.name}" if table else field.name
         text = OTHER_WORDS.get(path) or texts.get(field.name, "")
-        found.append(Field(table, field.name, hints[field.name], default, text))
-    return tuple(found)
+        fields.append(Field(table, field.name, hints[field.name], default, text))
+    return tuple(fields)
 
 
 @cache
@@ -246,8 +246,8 @@ def attribute_texts(cls: type) -> dict[str, str]:
     """Return what the 'Attributes' of a docstring say of each name."""
     block = (cls.__doc__ or "").partition("Attributes:\n")[2]
     entries = re.findall(r"^ {8}(\S[^:\n]*): (.*(?:\n {9,}.*)*)", block, re.MULTILINE)
-    found = {}
+    texts = {}
     for names, text in entries:
         for name in names.split(","):
-            found[name.strip()] = " ".join(text.split()).rstrip(".")
-    return found
+            texts[name.strip()] = " ".join(text.split()).rstrip(".")
+    return texts

@@ -75,3 +75,12 @@ def plain_name(stem: str) -> str:
 def mesh_task_name(mesh: Path, medium: str) -> str:
     """Return what the task that is guessed from a mesh is called."""
     return f"{plain_name(mesh.stem)}-{'walk' if medium == 'ground' else 'swim'}"
+
+
+def mesh_task_solvers(medium: str) -> dict[str, str]:
+    """Return which solvers the task that is guessed from a mesh names, by its fields; '': the default one.
+
+    Who names a mesh wants to see it move, soon. A swimmer does so without a feedback.
+    """
+    quick = {field: registry.quick_solver(kind) for field, kind in registry.CHOICES.items()}
+    return quick if medium == "ground" else {**quick, "feedback": ""}

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from defplan_mj import registry
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.build import build_body
@@ -39,7 +38,7 @@ from defplan_mj.gait.trials import (
     try_tasks,
 )
 from defplan_mj.task import GaitTask, Navigation, TaskSpec, Weights
-from defplan_mj.taskfile.find import EFFORT, MEDIA, mesh_task_name
+from defplan_mj.taskfile.find import EFFORT, MEDIA, mesh_task_name, mesh_task_solvers
 from defplan_mj.taskfile.rhythm import rhythm, stiffened
 
 _ROUND = 0.1  # by how much the two extents across the axis of a round body may differ
@@ -105,6 +104,7 @@ def guess_task(
     height = float(np.ptp(body.vertices[:, 2]))
     chosen, hertz = stiffened(kind, chosen, hertz, size, height)
     timestep, steps = rhythm(kind, hertz, height)
+    solvers = mesh_task_solvers(medium)
     spec = TaskSpec(
         name=name or mesh_task_name(path, medium),
         description=f"{path.stem}, guessed from its mesh: it {_DOES[kind]}",
@@ -117,9 +117,9 @@ def guess_task(
         weights=_weights(kind, size),
         axis=(1.0, 0.0, 0.0) if axis is None else axis,
         terrain=GROUND.terrain if kind == "ground" else None,
-        gait_solver=registry.quick_solver("gait"),
-        planner=registry.quick_solver("planner"),
-        feedback=registry.quick_solver("feedback") if kind == "ground" else "",
+        gait_solver=solvers["gait_solver"],
+        planner=solvers["planner"],
+        feedback=solvers["feedback"],
         effort=EFFORT,
         navigation=_navigation(kind, size),
     )

@@ -21,7 +21,7 @@ def key_lines(text: str) -> dict[Path, int]:
 
     What is written in braces or in an array has the line of its key: ask `line_of`.
     """
-    found: dict[Path, int] = {}
+    lines: dict[Path, int] = {}
     counts: dict[Path, int] = {}
     table: Path = ()
     place, number = 0, 1
@@ -36,18 +36,18 @@ def key_lines(text: str) -> dict[Path, int]:
             where = _within(names[:-1], counts) + (names[-1],)
             counts[where] = counts.get(where, -1) + 1
             table = (*where, counts[where])
-            found.setdefault(where, line)
-            found[table] = line
+            lines.setdefault(where, line)
+            lines[table] = line
         elif stripped.startswith("["):
             table = _within(_names(stripped[1:]), counts)
-            found[table] = line
+            lines[table] = line
         elif stripped and not stripped.startswith("#"):
             names = _names(stripped)
             for i in range(1, len(names) + 1):
-                found.setdefault((*table, *names[:i]), line)
+                lines.setdefault((*table, *names[:i]), line)
         number += statement.count("\n") + 1
         place = end + 1
-    return found
+    return lines
 
 
 def line_of(path: Path, lines: Mapping[Path, int]) -> int:

@@ -130,19 +130,19 @@ class _Reader:
             return self.grid(data, path)
         if typing.get_origin(kind) is tuple:
             return self.row(data, typing.get_args(kind), path)
-        wanted = _WORDS[kind] + (f", or '{NONE}'" if may_be_none else "")
+        kinds = _WORDS[kind] + (f", or '{NONE}'" if may_be_none else "")
         if isinstance(data, bool) is not (kind is bool):
-            self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {wanted}")
+            self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {kinds}")
         if kind is float and isinstance(data, int | float):
             return self.number(data, path)
         if isinstance(data, str) and len(data) > MOST_LETTERS:
             self.fail(path, f"{_called(path)} is longer than {MOST_LETTERS} letters")
         if kind is Path and isinstance(data, str):
             if "\0" in data or not data:
-                self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {wanted}")
+                self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {kinds}")
             return Path(os.path.abspath(self.file.parent / Path(data).expanduser()))
         if not isinstance(data, kind):
-            self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {wanted}")
+            self.fail(path, f"{_called(path)} is {_shown(data)}: it must be {kinds}")
         if kind is int and abs(data) > MOST_WHOLE:
             self.fail(path, f"{_called(path)} is {_shown(data)}: it can be {MOST_WHOLE} at most")
         return data
@@ -215,20 +215,20 @@ class _Reader:
     def _unknown(self, name: str, path: lines.Path, fields: dict[str, Field]) -> str:
         """Return the sentence for a field that there is not: what was probably meant, and where."""
         where = f"in {_brackets(path)}" if path else "at the top"
-        told = f"there is no field `{name}` {where}"
+        sentence = f"there is no field `{name}` {where}"
         if close := difflib.get_close_matches(name.lower(), fields, n=1, cutoff=0.6):
-            return f"{told}, did you mean {close[0]}?"
+            return f"{sentence}, did you mean {close[0]}?"
         elsewhere = [f for f in all_fields() if f.name == name]
         if elsewhere:
             table = elsewhere[0].table
-            return (
-                f"{told}: it belongs {f'in [{table}]' if table else 'at the top, before any table'}"
-            )
+            return f"{sentence}: it belongs {f'in [{table}]' if table else 'at the top, before any table'}"
         every = {f.name: f for f in all_fields()}
         if close := difflib.get_close_matches(name.lower(), every, n=1, cutoff=0.7):
             table = every[close[0]].table
-            return f"{told}, did you mean {close[0]} {f'in [{table}]' if table else 'at the top'}?"
-        return f"{told}; there is: {', '.join(fields)}"
+            return (
+                f"{sentence}, did you mean {close[0]} {f'in [{table}]' if table else 'at the top'}?"
+            )
+        return f"{sentence}; there is: {', '.join(fields)}"
 
     # ---- what has to fit together
 
@@ -264,9 +264,9 @@ class _Reader:
 
     def _check_files(self, spec: TaskSpec) -> None:
         """Fail if a file that the task names is not there."""
-        told = [("mesh", spec.mesh, "mesh file")]
-        told += [("shipped", path, "file") for path in spec.shipped or ()]
-        for name, path, what in told:
+        files = [("mesh", spec.mesh, "mesh file")]
+        files += [("shipped", path, "file") for path in spec.shipped or ()]
+        for name, path, what in files:
             if not os.path.isfile(path):  # False, too, if there can be no such name
                 near = _nearest_file(path)
                 self.fail((name,), f"the {what} {path} does not exist{near}")
@@ -283,8 +283,8 @@ class _Reader:
             self._asked(("rivals", i), partial(registry.get_solver, rival, "gait"))
         sensor, space = spec.navigation.sensor, spec.navigation.space
         if sensor:
-            found = self._asked(("navigation", "sensor"), partial(registry.get_sensor, sensor))
-            spaces = getattr(found, "spaces", (space,))
+            plugin = self._asked(("navigation", "sensor"), partial(registry.get_sensor, sensor))
+            spaces = getattr(plugin, "spaces", (space,))
             if space not in spaces:
                 self.fail(
                     ("navigation", "sensor"),
@@ -312,8 +312,8 @@ def _table_name(path: lines.Path) -> str:
 def _brackets(path: lines.Path) -> str:
     """Return a table as its header names it."""
     name = _table_name(path)
-    found = next((field for field in all_fields() if field.path == name), None)
-    many = found is not None and typing.get_origin(optional(found.kind)[0]) is tuple
+    named = next((field for field in all_fields() if field.path == name), None)
+    many = named is not None and typing.get_origin(optional(named.kind)[0]) is tuple
     return f"[[{name}]]" if many else f"[{name}]"
 
 

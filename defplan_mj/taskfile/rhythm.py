@@ -81,13 +81,13 @@ def stiffened(
     medium = dataclasses.replace(medium, righting_height=medium.righting_height * length)
     rule, slowest = RHYTHMS[kind], min(hertz)
     if kind == "ground":
-        wanted = max(slowest, rule.periods / (rule.falling * np.sqrt(height / STANDARD_GRAVITY)))
+        aim = max(slowest, rule.periods / (rule.falling * np.sqrt(height / STANDARD_GRAVITY)))
     else:
-        wanted = min(slowest, rule.fastest / np.sqrt(length))
-    if wanted == slowest:
+        aim = min(slowest, rule.fastest / np.sqrt(length))
+    if aim == slowest:
         return dataclasses.replace(options, medium=medium), hertz
     material = options.material
-    young = float(f"{material.youngs_modulus * (wanted / slowest) ** 2:.2g}")
+    young = float(f"{material.youngs_modulus * (aim / slowest) ** 2:.2g}")
     faster = np.sqrt(young / material.youngs_modulus)
     material = dataclasses.replace(material, youngs_modulus=young)
     return dataclasses.replace(options, medium=medium, material=material), hertz * faster

@@ -60,6 +60,6 @@ def _syntax_sentence(path: Path, error: ValueError) -> str:
     if not message:
         message, place = str(error), ""
     line = f", {place.rstrip(')').partition(',')[0]}" if place.startswith("line") else ""
-    told = " (at its end)" if place and not line else ""
+    ending = " (at its end)" if place and not line else ""
     message = message.splitlines()[0][:120]
-    return f"{path}{line}: this is no TOML: {message[:1].lower()}{message[1:]}{told}"
+    return f"{path}{line}: this is no TOML: {message[:1].lower()}{message[1:]}{ending}"

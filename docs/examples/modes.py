@@ -23,9 +23,9 @@ def main() -> np.ndarray:
     shipped = get_task("fish-swim").shipped
     assert shipped is not None
     body = Body.load(shipped[0])
-    found = frequencies(body)
-    print("Hz:", np.round(found, 2))
-    return np.stack([found, body.frequencies])
+    hertz = frequencies(body)
+    print("Hz:", np.round(hertz, 2))
+    return np.stack([hertz, body.frequencies])
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ OPTIONS = {
 
 
 def reach(
-    dynamics: ReducedDynamics, wanted: np.ndarray, steps: int, solver: str = "ipopt"
+    dynamics: ReducedDynamics, goal: np.ndarray, steps: int, solver: str = "ipopt"
 ) -> tuple[np.ndarray, np.ndarray, dict]:
     """Find target shapes that bring the body from rest to the shape `wanted` (r,), and stop there.
 
@@ -51,7 +51,7 @@ def reach(
     # the Hessian lacks what the dynamics' curvature would add, and Newton's steps grow
     effort = sum(ca.sumsqr(shape) for shape in u)
     motion = sum(ca.sumsqr(state[13 + r : 13 + 2 * r]) for state in x)
-    miss = ca.sumsqr(x[-1][7 : 7 + r] - wanted)
+    miss = ca.sumsqr(x[-1][7 : 7 + r] - goal)
     vibration = ca.sumsqr(x[-1][13 + r : 13 + 2 * r])
     objective = 0.0025 * effort + 0.0005 * motion + 1000 * miss + 0.09 * vibration
 

@@ -14,8 +14,8 @@ from defplan_mj.registry import get_task
 
 def energies(dynamics: ReducedDynamics, states: np.ndarray) -> np.ndarray:
     """Return kinetic plus elastic energy of each state (N + 1,), J."""
-    found = [dynamics.energy(x) for x in states]
-    return np.array([e["kinetic"] + e["elastic"] for e in found], float)
+    energy = [dynamics.energy(x) for x in states]
+    return np.array([e["kinetic"] + e["elastic"] for e in energy], float)
 
 
 def main(seconds: float = 1.0) -> np.ndarray:

@@ -37,12 +37,12 @@ class Plan:
     stats: dict
 
 
-def cost(dynamics: ReducedDynamics, x_end: ca.MX, u: ca.MX, wanted: np.ndarray) -> ca.MX:
+def cost(dynamics: ReducedDynamics, x_end: ca.MX, u: ca.MX, goal: np.ndarray) -> ca.MX:
     """Return how far the body ends from `wanted` (3,), and what its target shapes u (r x N) cost."""
     scaled = u / ca.DM(dynamics.body.amplitude)
     changes = scaled[:, 1:] - scaled[:, :-1]
     return (
-        ca.sumsqr(x_end[:3] - wanted)
+        ca.sumsqr(x_end[:3] - goal)
         + (EFFORT * ca.sumsqr(scaled) + SMOOTH * ca.sumsqr(changes)) / u.shape[1]
     )
 
@@ -56,13 +56,13 @@ def wave(dynamics: ReducedDynamics, steps: int, period: float) -> np.ndarray:
 
 
 def single_shooting(
-    dynamics: ReducedDynamics, wanted: np.ndarray, start: np.ndarray, iterations: int = 60
+    dynamics: ReducedDynamics, goal: np.ndarray, start: np.ndarray, iterations: int = 60
 ) -> Plan:
     """Find target shapes from `start` (N, r); the states follow from them by the rollout."""
     steps, rest = len(start), dynamics.rest_state()
     u = ca.MX.sym("u", dynamics.nu, steps)
     x = CasadiDynamics(dynamics).rollout(steps)(rest, u)
-    nlp = {"x": ca.vec(u), "f": cost(dynamics, x[:, -1], u, wanted)}
+    nlp = {"x": ca.vec(u), "f": cost(dynamics, x[:, -1], u, goal)}
     options = {
         "print_time": False,
         "show_eval_warnings": False,
@@ -76,13 +76,13 @@ def single_shooting(
     }
     bound = np.tile(dynamics.body.amplitude, steps)
     solver = ca.nlpsol("single", "ipopt", nlp, options)
-    found = solver(x0=start.ravel(), lbx=-bound, ubx=bound)
-    shapes = np.array(found["x"]).reshape(steps, -1)
+    solution = solver(x0=start.ravel(), lbx=-bound, ubx=bound)
+    shapes = np.array(solution["x"]).reshape(steps, -1)
     return Plan(shapes, dynamics.rollout(rest, shapes), solver.stats())
 
 
 def multiple_shooting(
-    dynamics: ReducedDynamics, wanted: np.ndarray, start: Plan, iterations: int = 15
+    dynamics: ReducedDynamics, goal: np.ndarray, start: Plan, iterations: int = 15
 ) -> Plan:
     """Find states and target shapes together; the kernel's step ties each state to the next.
 
@@ -98,7 +98,7 @@ def multiple_shooting(
     gaps = x - step.map(steps)(before, u)
     nlp = {
         "x": unknowns,
-        "f": cost(dynamics, x[:, -1], u, wanted)
+        "f": cost(dynamics, x[:, -1], u, goal)
         + NEAR * ca.sumsqr((u - start.shapes.T) / ca.DM(dynamics.body.amplitude)) / steps,
         "g": ca.vec(gaps),
     }
@@ -119,16 +119,16 @@ def multiple_shooting(
     bound = np.hstack([np.tile(dynamics.body.amplitude, (steps, 1)), np.full((steps, nx), np.inf)])
     values = np.hstack([start.shapes, start.states[1:]])
     solver = ca.nlpsol("multiple", "ipopt", nlp, options)
-    found = solver(x0=values.ravel(), lbx=-bound.ravel(), ubx=bound.ravel(), lbg=0, ubg=0)
-    rows = np.array(found["x"]).reshape(steps, r + nx)
+    solution = solver(x0=values.ravel(), lbx=-bound.ravel(), ubx=bound.ravel(), lbg=0, ubg=0)
+    rows = np.array(solution["x"]).reshape(steps, r + nx)
     states = np.vstack([start.states[:1], rows[:, r:]])
     return Plan(rows[:, :r], states, solver.stats())
 
 
-def report(dynamics: ReducedDynamics, name: str, plan: Plan, wanted: np.ndarray) -> float:
+def report(dynamics: ReducedDynamics, name: str, plan: Plan, goal: np.ndarray) -> float:
     """Simulate a plan, print how it did, and return how far from `wanted` the simulation ends, m."""
     states = dynamics.rollout(dynamics.rest_state(), plan.shapes)
-    miss = float(np.linalg.norm(states[-1, :3] - wanted))
+    miss = float(np.linalg.norm(states[-1, :3] - goal))
     gap = np.abs(states - plan.states).max()
     print(
         f"{name}: {plan.stats['return_status']} after {plan.stats['iter_count']} iterations,"
@@ -140,12 +140,12 @@ def report(dynamics: ReducedDynamics, name: str, plan: Plan, wanted: np.ndarray)
 def main(path: str, ahead: float = 1.0, seconds: float = 2.4) -> tuple[float, float]:
     """Swim `ahead` body lengths along x in `seconds` s; return both ways' misses, m."""
     dynamics = ReducedDynamics(Body.load(path))
-    wanted = np.array([ahead * dynamics.body.length, 0.0, 0.0])
+    goal = np.array([ahead * dynamics.body.length, 0.0, 0.0])
     steps = round(seconds / dynamics.timestep)
-    single = single_shooting(dynamics, wanted, wave(dynamics, steps, period=0.6))
-    first = report(dynamics, "single shooting", single, wanted)
-    multiple = multiple_shooting(dynamics, wanted, single)
-    return first, report(dynamics, "multiple shooting", multiple, wanted)
+    single = single_shooting(dynamics, goal, wave(dynamics, steps, period=0.6))
+    first = report(dynamics, "single shooting", single, goal)
+    multiple = multiple_shooting(dynamics, goal, single)
+    return first, report(dynamics, "multiple shooting", multiple, goal)
 
 
 if __name__ == "__main__":

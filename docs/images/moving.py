@@ -40,7 +40,7 @@ def picture(name: str, path: Path) -> None:
         scenes = novel_scenes(spec.navigation, 1, 0)
         context = {"task": name, "seed": 0, "planner": "astar", "shield": True}
         evaluate(
-            *(robot, surrogate, spec.navigation, planner, scenes),
+            robot, surrogate, spec.navigation, planner, scenes,
             recorder=recorders, context=context,
         )  # fmt: skip
         write_video(recorders.path(0), path, SIZE, FPS, PICTURES[name], seconds=(0, SECONDS))

@@ -61,7 +61,8 @@ def test_a_run_has_the_same_bits_in_a_strange_place_on_one_core(tmp_path, thread
     wanted, _ = undisturbed(tmp_path / "undisturbed")
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     done = places.defplan(
-        *(str(tmp_path / "logs"), "--quiet"),
+        str(tmp_path / "logs"),
+        "--quiet",
         module="tests.samples.tiny_run",
         environment={
             **places.strange(tmp_path),

@@ -30,6 +30,7 @@ from defplan_mj.pipeline.results import run_results
 from defplan_mj.pipeline.robustness import robustness
 from defplan_mj.pipeline.run import open_run
 from defplan_mj.pipeline.stages import STAGES
+from defplan_mj.pipeline.store import read_config
 from defplan_mj.planning.outcome import ENDINGS
 from defplan_mj.planning.planner import TrainResult
 from defplan_mj.report.material import gather
@@ -173,6 +174,18 @@ def test_a_second_planner_keeps_the_gaits_and_lies_beside_the_first(setting, sho
     assert made == (0, 1)
     assert os.path.basename(results["files"]["policy"]) == "policy-other.npz"
     assert (setting.logs / "fish-swim-seed0" / "policy.npz").is_file()
+
+
+def test_what_is_tried_beside_a_whole_run_does_not_take_its_place(setting, short_report, capfd):
+    setting.run()
+    argv = ["evaluate", "fish-swim", "--episodes", "1", "--logs", str(setting.logs), "--json"]
+    assert cli.main([*argv, "--planner", "other", "--feedback", "lqr"]) == 0
+    tried = json.loads(capfd.readouterr().out)
+    assert (tried["planner"], tried["feedback"]) == ("stubborn", "lqr")  # the other's own name
+    config = read_config(setting.logs / "fish-swim-seed0")
+    assert config["planner"] is config["feedback"] is None and config["whole"] is True
+    assert cli.main(argv) == 0
+    assert json.loads(capfd.readouterr().out)["feedback"] == "none"
 
 
 def compared(setting):

@@ -105,7 +105,9 @@ def test_a_study_of_meshes_has_a_run_for_each_whose_task_is_guessed_later(write,
     assert [cell.task for cell in made] == ["fish-swim", "a-cow-walk", "shark-walk"]
     assert [cell.medium for cell in made] == ["", "ground", "ground"]
     assert made[1].source == str(tmp_path / "a cow.obj")
-    assert made[1].method == "shooting-quick+astar+none"
+    assert made[1].method == "shooting-quick+astar+lqr"
+    swims = cells(read_study(write('meshes = ["shark.stl"]\nmedium = "water"\n')))
+    assert swims[0].method == "shooting-quick+astar+none"  # as `defplan new` has it
     (tmp_path / "shark.obj").write_text("")
     with pytest.raises(DefplanError, match=r"line 1: `meshes` has two of the name shark-swim"):
         read_study(write('meshes = ["shark.stl", "shark.obj"]\nmedium = "water"\n'))

@@ -78,8 +78,8 @@ def success_section(material: Material) -> Section:
 def _still(material: Material) -> list[dict[str, Any]]:
     """Return the row of speed 0: the training targets among still obstacles, with the shield; or none."""
     document = material.documents.get("evaluation", {}).get("k2")
-    found = dict(evaluations(document))
-    result = found.get("with shield", found.get(""))
+    by_name = dict(evaluations(document))
+    result = by_name.get("with shield", by_name.get(""))
     if result is None:
         return []
     share = rate(result, "success")

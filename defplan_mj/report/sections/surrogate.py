@@ -68,10 +68,10 @@ def _by_pair(surrogate: Surrogate) -> list[Text | Table]:
     """Return what a motion for each gait before brings, on switching that it was not fitted to."""
     if surrogate.switching is None or not surrogate.switching.held_out:
         return []
-    told = surrogate.switching.held_out
+    held_out = surrogate.switching.held_out
     m = surrogate.decisions_per_cycle
     rows = [
-        [name, f"{told[f'{key}place_m']:.3f}", f"{told[f'{key}turn_rad']:.3f}"]
+        [name, f"{held_out[f'{key}place_m']:.3f}", f"{held_out[f'{key}turn_rad']:.3f}"]
         for name, key in (("one motion a gait", "plain_"), ("by the gait before, too", ""))
     ]
     text = (
@@ -90,7 +90,7 @@ def _by_pair(surrogate: Surrogate) -> list[Text | Table]:
         Table(
             ["surrogate", "place (m)", "rotation (rad)"],
             rows,
-            f"How far {part} is from its prediction, root mean square of {told['cycles']:.0f} {many} "
+            f"How far {part} is from its prediction, root mean square of {held_out['cycles']:.0f} {many} "
             "that were not fitted.",
         ),
     ]
