@@ -384,7 +384,7 @@ def _in_order(path: Path, contents: _Contents) -> EpisodeLog:
         if contents.needed[topic] is schemas.LabelledNumbers
     }
     states = numbers.get(channels.STATE, {})
-    if not states and not cut and contents.messages:
+    if not states and (not contents.fault or (contents.messages and not cut)):
         raise DefplanError(
             f"log {path} has no messages in {channels.STATE}: keep them in filtering"
         )
