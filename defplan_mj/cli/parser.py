@@ -530,7 +530,7 @@ def _view(sub: argparse.ArgumentParser) -> None:
         help="stream to Foxglove or Lichtblick instead; needs no screen",
     )
     sub.add_argument(
-        "--port", type=_natural, default=8765, metavar="N", help="of that (default: 8765)"
+        "--port", type=_port, default=8765, metavar="N", help="of that (default: 8765)"
     )
     sub.add_argument("--episodes", type=_count, metavar="N", help="of that (default: until Ctrl-C)")
     _stage(sub)
@@ -597,6 +597,10 @@ def _natural(text: str) -> int:
 
 def _count(text: str) -> int:
     return _number(text, int, lambda n: n >= 1, "a whole number, 1 or more")
+
+
+def _port(text: str) -> int:
+    return _number(text, int, lambda n: 0 <= n < 2**16, "a port, 1 to 65535; 0: a free one")
 
 
 def _positive(text: str) -> float:
