@@ -390,7 +390,7 @@ def view(sub: argparse.ArgumentParser) -> None:
         help="stream to Foxglove or Lichtblick instead; needs no screen",
     )
     sub.add_argument(
-        "--port", type=shared.natural, default=8765, metavar="N", help="of that (default: 8765)"
+        "--port", type=shared.port, default=8765, metavar="N", help="of that (default: 8765)"
     )
     sub.add_argument(
         "--episodes", type=shared.count, metavar="N", help="of that (default: until Ctrl-C)"

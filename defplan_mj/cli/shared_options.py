@@ -88,6 +88,10 @@ def count(text: str) -> int:
     return _number(text, int, lambda n: n >= 1, "a whole number, 1 or more")
 
 
+def port(text: str) -> int:
+    return _number(text, int, lambda n: 0 <= n < 2**16, "a port, 1 to 65535; 0: a free one")
+
+
 def positive(text: str) -> float:
     return _number(text, float, lambda x: 0 < x < math.inf, "a positive number")
 

@@ -35,6 +35,23 @@ SceneSampler = Callable[[np.random.RandomState], Scene]
 StepHook = Callable[[Physics, np.ndarray], None]
 
 
+class GaitChoice(specs.DiscreteArray):
+    """The choice among gaits, as the actions' spec: a number of each, which nothing scales."""
+
+    def replace(self, **kwargs: Any) -> GaitChoice:
+        """Return the choice with another name or number of gaits.
+
+        Raises:
+            DefplanError: bounds are to be set, as dm_control's `action_scale` does.
+        """
+        if {"minimum", "maximum"} & set(kwargs):
+            raise DefplanError(
+                f"the actions are gaits, 0 to {self.num_values - 1}, and cannot be scaled: leave action_scale"
+                " out, or take a task whose action is a target shape (swim, walk)"
+            )
+        return super().replace(**kwargs)
+
+
 class Navigate(base.Task):
     """Reach the target of a scene, cycle by cycle, without touching an obstacle.
 
@@ -138,7 +155,7 @@ class Navigate(base.Task):
 
     def action_spec(self, physics: Physics) -> specs.DiscreteArray:
         """Return the choice among the gait's tasks."""
-        return specs.DiscreteArray(len(self.gait.task_names), name="gait")
+        return GaitChoice(len(self.gait.task_names), name="gait")
 
     def before_step(self, action: int, physics: Physics) -> None:
         """Make the coming physics steps one cycle of gait `action`, or the part of it that comes next.
@@ -146,12 +163,7 @@ class Navigate(base.Task):
         Raises:
             DefplanError: there is no such gait.
         """
-        index = int(np.asarray(action).item())
-        if not 0 <= index < len(self.gait.task_names):
-            raise DefplanError(
-                f"there is no gait {index}: the actions are 0 to {len(self.gait.task_names) - 1}"
-                f" ({', '.join(self.gait.task_names)})"
-            )
+        index = self._gait_of(action)
         if self.decisions == 0:
             self._standing = physics.height()
         first = self.decisions % self.decisions_per_cycle * self._steps
@@ -162,6 +174,17 @@ class Navigate(base.Task):
         else:  # a feedback that knows whole cycles only has no third argument
             self._feedback.begin(index, physics.reduced_state())
         physics.follow(self._feedback.shape, self._after_physics_step)
+
+    def _gait_of(self, action: Any) -> int:
+        """Return the number of the gait that an action, one whole number in whatever array, chooses."""
+        array = np.asarray(action)
+        whole = array.size == 1 and array.dtype.kind in "iu"
+        if not whole or not 0 <= array.item() < len(self.gait.task_names):
+            raise DefplanError(
+                f"there is no gait {action}: the actions are 0 to {len(self.gait.task_names) - 1}"
+                f" ({', '.join(self.gait.task_names)})"
+            )
+        return int(array.item())
 
     def _after_physics_step(self, physics: Physics, target_shape: np.ndarray) -> bool:
         """Check for collision and success; true ends the cycle here."""

@@ -294,7 +294,7 @@ def _identity(path: Path, contents: Contents, cut: bool) -> dict[str, str]:
 def _check_steps(path: Path, contents: Contents, numbers: Numbers, cut: bool) -> None:
     """Raise DefplanError if a log holds no state, or not what was run."""
     states = numbers.get(channels.STATE)
-    if not states and not cut and contents.messages:
+    if not states and (not contents.fault or (contents.messages and not cut)):
         raise DefplanError(
             f"log {path} has no messages in {channels.STATE}: keep them in filtering"
         )

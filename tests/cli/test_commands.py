@@ -104,6 +104,7 @@ def test_list_prints_one_json_object_that_names_all_groups(capfd):
         (["body", "a.stl", "--density", "nan"], "nan is not a positive number"),
         (["evaluate", "fish-swim", "--scenes", "k3"], "there is no k3; choose from k2, novel"),
         (["evaluate", "fish-swim", "--episodes", "0"], "0 is not a whole number, 1 or more"),
+        (["view", "fish-swim", "--live", "--port", "65536"], "65536 is not a port, 1 to 65535"),
     ],
 )
 def test_wrong_usage_is_one_sentence_and_exit_code_2(argv, sentence, capfd):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 
 import mujoco
 import numpy as np
 import pytest
+from dm_control.suite.wrappers import action_scale
 from mujoco import rollout
 from scipy.spatial.transform import Rotation
 
@@ -287,6 +289,22 @@ def test_unknown_gait_is_refused():
     environment.reset()
     with pytest.raises(DefplanError, match=r"no gait 3: the actions are 0 to 2 \(forward, left"):
         environment.step(3)
+
+
+@pytest.mark.parametrize("action", [1.5, 1.0, np.nan, None, "forward", [0, 0], -1])
+def test_an_action_that_is_no_whole_number_is_refused(action):
+    environment = _environment(samples.scene([]))
+    environment.reset()
+    with pytest.raises(DefplanError, match=r"there is no gait .*: the actions are 0 to 2"):
+        environment.step(action)
+
+
+def test_dm_controls_scaling_of_gaits_is_refused_in_a_sentence():
+    environment = _environment(samples.scene([]))
+    with pytest.raises(DefplanError, match="the actions are gaits, 0 to 2, and cannot be scaled"):
+        action_scale.Wrapper(environment, -1.0, 1.0)
+    spec = pickle.loads(pickle.dumps(environment.action_spec())).replace(name="which")
+    assert (spec.name, spec.num_values) == ("which", 3)
 
 
 def test_gait_of_another_body_is_refused():

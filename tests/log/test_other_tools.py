@@ -133,9 +133,10 @@ def test_a_log_without_its_metadata_says_which(whole, tmp_path):
         read_log(path)
 
 
-def test_a_log_without_states_says_so(whole, tmp_path):
-    path = rewrite(whole, tmp_path / "x.mcap", keep=lambda topic, _: topic != channels.STATE)
-    with pytest.raises(DefplanError, match="has no messages in /robot/state"):
+@pytest.mark.parametrize("left", [set(), {channels.MESH}, {channels.CONTACTS}])
+def test_a_log_without_states_says_so(whole, tmp_path, left):
+    path = rewrite(whole, tmp_path / "x.mcap", keep=lambda topic, _: topic in left)
+    with pytest.raises(DefplanError, match="has no messages in /robot/state: keep them"):
         read_log(path)
 
 

@@ -10,6 +10,7 @@ from defplan_mj.body.tetmesh import boundary
 from defplan_mj.log.plotting import view
 from defplan_mj.report.content import duration, mean_sd, number, percent
 from defplan_mj.report.figures.drawing import outlines
+from defplan_mj.report.figures.planning import rates_figure
 from defplan_mj.report.figures.preview import preview_figure
 from defplan_mj.report.figures.views import episode_views
 
@@ -103,6 +104,15 @@ def test_numbers_are_written_for_people():
     ]
     assert (percent(1.0), percent(0.975), percent(0.0)) == ("100%", "97.5%", "0%")
     assert (number(None), number(float("nan")), mean_sd(1, 0.5, 1)) == ("–", "–", "1.0 ± 0.5")
+
+
+def test_the_dot_of_a_rate_of_100_percent_is_whole():
+    axes = rates_figure([("unseen scenes", 1.0, (0.98, 1.0)), ("novel", 0.9, (0.8, 0.95))]).axes[0]
+    assert [np.array(dot.get_offsets()).tolist() for dot in axes.collections] == [
+        [[100, 0]],
+        [[90, 1]],
+    ]
+    assert not any(dot.get_clip_on() for dot in axes.collections)
 
 
 def test_a_preview_shows_which_way_a_mesh_looks():

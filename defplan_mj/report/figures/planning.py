@@ -92,7 +92,8 @@ def rates_figure(rates: Sequence[tuple[str, float, tuple[float, float]]]) -> Fig
     axes = grid[0, 0]
     for row, (_, rate, (low, high)) in enumerate(rates):
         axes.plot([100 * low, 100 * high], [row, row], color=PATH, lw=2.2, solid_capstyle="round")
-        axes.scatter([100 * rate], [row], s=36, color=PATH, zorder=3)
+        # not clipped: whole at 100%, too
+        axes.scatter([100 * rate], [row], s=36, color=PATH, zorder=3, clip_on=False)
     axes.set_yticks(range(len(rates)), [label for label, *_ in rates])
     axes.invert_yaxis()
     axes.set(xlabel="success (%)", xlim=(min(50, *(100 * r[2][0] - 2 for r in rates)), 101))
