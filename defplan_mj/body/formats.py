@@ -20,7 +20,7 @@ from defplan_mj.body import cells as split
 from defplan_mj.body.old_cells import read_gmsh1
 from defplan_mj.body.plain_files import read_obj, read_off, read_stl
 from defplan_mj.body.raw_mesh import RawMesh, of_polygons
-from defplan_mj.body.scene_files import check_gltf, read_collada
+from defplan_mj.body.scene_files import check_3mf, check_gltf, read_collada
 from defplan_mj.body.sniffing import form_of
 
 SURFACE_FORMATS = (".stl", ".obj", ".ply", ".off", ".gltf", ".glb", ".3mf", ".dae")
@@ -32,7 +32,7 @@ _MESHIO: dict[str, tuple[str, ...]] = {  # two programs use .msh (and MuJoCo a t
     ".f3grid": ("flac3d",), ".mdpa": ("mdpa",),
 }  # fmt: skip
 _MUJOCO = (".skn",)
-CELL_FORMATS = tuple(_MESHIO)
+CELL_FORMATS = (*_MESHIO, *_MUJOCO)
 _UNITS = {
     "micrometer": 1e-6, "micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "decimeter": 0.1,
     "meter": 1.0, "inch": 0.0254, "foot": 0.3048, "feet": 0.3048,
@@ -55,7 +55,7 @@ def read_file(path: Path) -> RawMesh:
         there = "is a folder: name a file in it" if path.is_dir() else "does not exist"
         raise DefplanError(f"mesh file {path} {there}")
     size = path.stat().st_size
-    named, known = path.suffix.lower(), (*SURFACE_FORMATS, *_MESHIO, *_MUJOCO)
+    named, known = path.suffix.lower(), (*SURFACE_FORMATS, *CELL_FORMATS)
     if size == 0 and named in known:
         raise DefplanError(f"{path} is empty: it has no bytes; export it again")
     form = _form(path, named)
@@ -138,6 +138,8 @@ def _surface(path: Path, form: str) -> RawMesh:
     notes = check_gltf(path, form) if gltf else []
     mesh = _attempt(path, form, lambda: trimesh.load(str(path), file_type=form[1:], process=False))
     factor = 1.0
+    if form == ".3mf":
+        _attempt(path, form, partial(check_3mf, path))
     if isinstance(mesh, trimesh.Scene):
         others = [g for g in mesh.geometry.values() if not isinstance(g, trimesh.Trimesh)]
         if others and len(others) == len(mesh.geometry):
@@ -200,6 +202,13 @@ def _cells(path: Path, form: str) -> RawMesh:
     old = _attempt(path, form, partial(read_gmsh1, path)) if form == ".msh" else None
     if old is not None:
         return _of_meshio(path, old)
+    if form == ".vtk":
+        with path.open("rb") as stream:
+            if b"DATASET POLYDATA" in stream.read(1024):
+                raise DefplanError(
+                    f"{path} is a surface of VTK (POLYDATA), which cannot be read: save it as .stl or"
+                    " .ply, or as an unstructured grid"
+                )
     failure: DefplanError | None = None
     for name in _MESHIO[form]:
         try:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
+import zipfile
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -71,6 +73,18 @@ def _sizes(primitive: Any) -> np.ndarray | None:
         return np.zeros(0, np.int64)
     index = np.asarray(index)
     return np.full(len(index), 3, np.int64) if index.ndim == 2 and index.shape[1] == 3 else None
+
+
+def check_3mf(path: Path) -> None:
+    """Refuse a 3MF file that builds objects of further files in its archive: they would be left out."""
+    with zipfile.ZipFile(path) as archive:
+        models = [name for name in archive.namelist() if "3d/3dmodel.model" in name.lower()]
+        parts = sum(len(re.findall(rb"<item\b[^>]*\bpath=", archive.read(name))) for name in models)
+    if parts:
+        raise DefplanError(
+            f"{path} builds {parts} objects that stand in further files of its archive, which are not"
+            " read: export it as one object"
+        )
 
 
 def check_gltf(path: Path, form: str) -> list[str]:

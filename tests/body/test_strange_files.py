@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 
 import meshio
 import numpy as np
@@ -15,6 +16,7 @@ from defplan_mj.body.loading import fill_file
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.body.surface import Surface
 from defplan_mj.body.tetmesh import face_pieces, volumes
+from defplan_mj.taskfile.find import MESHES
 from tests.samples.meshes import bar
 
 BOX = trimesh.creation.box([1.0, 0.4, 0.3])
@@ -198,6 +200,21 @@ def test_gltf_says_what_is_missing_packed_or_not_used(tmp_path):
         read_file(path)
 
 
+def test_three_mf_with_objects_in_further_files_is_refused(tmp_path):
+    path = tmp_path / "box.3mf"
+    BOX.export(path)
+    with zipfile.ZipFile(path) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    model = next(name for name in files if name.endswith("3dmodel.model"))
+    item = b'<item objectid="1" p:path="/3D/other.model"/></build>'
+    files[model] = files[model].replace(b"</build>", item)
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    with pytest.raises(DefplanError, match="builds 1 objects that stand in further files"):
+        read_file(path)
+
+
 # ---- cells
 
 
@@ -215,6 +232,13 @@ def test_gmsh_1_is_read(tmp_path):
     assert np.abs(volumes(raw.vertices, raw.tetrahedra)).sum() == pytest.approx(VOLUME)
     path.write_text("\n".join(lines[:-1]))
     with pytest.raises(DefplanError, match=r"cut short: it has no \$ENDELM"):
+        read_file(path)
+
+
+def test_a_surface_of_vtk_is_called_that(tmp_path):
+    path = tmp_path / "box.vtk"
+    path.write_text("# vtk DataFile Version 3.0\nbox\nASCII\nDATASET POLYDATA\nPOINTS 0 float\n")
+    with pytest.raises(DefplanError, match=r"POLYDATA.*save it as \.stl"):
         read_file(path)
 
 
@@ -249,3 +273,7 @@ def test_cells_of_two_parts_are_welded_where_they_meet(tmp_path):
     assert filled.repaired == ["welded 9 vertices of cells that lie at one place"]
     with pytest.raises(DefplanError, match="in 2 pieces"):
         fill_file(path, BodyOptions(strict=True))
+
+
+def test_every_format_that_is_read_is_a_mesh_to_the_commands():
+    assert {".skn", ".msh", ".dae", ".obj"} <= set(MESHES)
