@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from defplan_mj.base.errors import DefplanError
-from defplan_mj.body import touching
+from defplan_mj.body import tetwild, touching
 from defplan_mj.body.repair import Repaired, repair
 from defplan_mj.body.surface import check_surface
 from tests.samples.meshes import pill, surface_of
@@ -73,3 +73,9 @@ def test_many_pieces_apart_are_refused_after_few_looks(monkeypatch):
             *(shifted(BOX, [0.0, 0.0, k * 0.5]) for k in range(11)), shifted(BOX, [0.0, 0.0, 9.0])
         )
     assert len(looks) <= 3
+
+
+def test_a_busy_machine_is_not_called_a_thin_mesh():
+    assert tetwild.WALL_SECONDS >= 10 * tetwild.CPU_SECONDS
+    assert "the machine is busy" in tetwild._failure("it", -9, b"", tetwild.WALL_SECONDS + 1.0)
+    assert "too thin" in tetwild._failure("it", -24, b"", 60.0)
