@@ -127,15 +127,13 @@ def read_stl(path: Path) -> RawMesh:
 
 def _text_stl(data: bytes, path: Path) -> RawMesh:
     corners = re.findall(rb"\bvertex\s+(\S+\s+\S+\s+\S+)", data, re.IGNORECASE)
-    if len(corners) % 3:
+    if len(corners) % 3 or not re.search(rb"end\s*solid", data[-2048:], re.IGNORECASE):
         raise DefplanError(
-            f"{path} is cut short: it ends within a facet, after {len(corners)} corners; copy or export"
+            f"{path} is cut short: its last solid has no end, after {len(corners)} corners; copy or export"
             " it again"
         )
-    whole = re.search(rb"end\s*solid", data[-2048:], re.IGNORECASE)
-    notes = [] if whole else ["its last solid has no end: the file may have been cut short"]
     vertices = np.array(b" ".join(corners).split(), float).reshape(-1, 3)
-    return RawMesh(vertices, np.arange(len(vertices)).reshape(-1, 3), notes=notes)
+    return RawMesh(vertices, np.arange(len(vertices)).reshape(-1, 3))
 
 
 def _check_precision(vertices: np.ndarray, path: Path) -> None:
