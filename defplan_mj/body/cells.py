@@ -59,7 +59,14 @@ def straighten(
     corners, edges = CORNERS[kind], _EDGES[kind]
     if cells.shape[1] < corners + len(edges):
         return cells[:, :corners], 0.0
-    ends = np.array(edges)
+    ends, order = np.array(edges), _order(kind, cells.shape[1])
+    if (
+        order > 2
+    ):  # their nodes stand in an order of each format's own: any edge of the cell will do
+        nodes = vertices[cells[:, corners : corners + len(edges) * (order - 1)]]
+        return cells[:, :corners], _off_segments(
+            nodes, *np.moveaxis(vertices[cells[:, ends]], 2, 0)
+        )
     middle = 0.5 * (vertices[cells[:, ends[:, 0]]] + vertices[cells[:, ends[:, 1]]])
     nodes = vertices[cells[:, corners : corners + len(edges)]]
     off = float(np.linalg.norm(nodes - middle, axis=-1).max(initial=0.0))
@@ -67,6 +74,34 @@ def straighten(
         parts = _TRI6 if kind == "triangle" else _TET10
         return np.concatenate([cells[:, part] for part in parts]), 0.0
     return cells[:, :corners], off
+
+
+def _order(kind: str, nodes: int) -> int:
+    """Return the order of cells with so many nodes, with or without those inside; 2 if it is unknown."""
+    corners, edges = CORNERS[kind], len(_EDGES[kind])
+    for k in range(3, 11):
+        full = {
+            "triangle": (k + 1) * (k + 2) // 2, "quad": (k + 1) ** 2, "hexahedron": (k + 1) ** 3,
+            "tetra": (k + 1) * (k + 2) * (k + 3) // 6, "wedge": (k + 1) ** 2 * (k + 2) // 2,
+            "pyramid": (k + 1) * (k + 2) * (2 * k + 3) // 6,
+        }[kind]  # fmt: skip
+        if nodes in (full, corners + edges * (k - 1)):
+            return k
+    return 2
+
+
+def _off_segments(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
+    """Return how far, m, the worst of points (c, p, 3) is from the nearest of its cell's segments (c, e, 3)."""
+    along = end - start
+    square = np.maximum((along**2).sum(-1), 1e-300)
+    least = np.full(points.shape[:2], np.inf)
+    for e in range(along.shape[1]):
+        gap = points - start[:, None, e]
+        share = np.clip((gap * along[:, None, e]).sum(-1) / square[:, None, e], 0.0, 1.0)
+        least = np.minimum(
+            least, np.linalg.norm(gap - share[..., None] * along[:, None, e], axis=-1)
+        )
+    return float(least.max(initial=0.0))
 
 
 def split_polygons(vertices: np.ndarray, polygons: np.ndarray) -> np.ndarray:

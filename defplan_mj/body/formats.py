@@ -6,7 +6,6 @@ import contextlib
 import io
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,11 @@ import trimesh
 from defplan_mj.base.bounded import TooLong, bounded
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body import cells as split
+from defplan_mj.body.old_cells import read_gmsh1
+from defplan_mj.body.plain_files import read_obj, read_off, read_stl
+from defplan_mj.body.raw_mesh import RawMesh, of_polygons
+from defplan_mj.body.scene_files import check_3mf, check_gltf, read_collada
+from defplan_mj.body.sniffing import form_of
 
 SURFACE_FORMATS = (".stl", ".obj", ".ply", ".off", ".gltf", ".glb", ".3mf", ".dae")
 _MESHIO: dict[str, tuple[str, ...]] = {  # two programs use .msh (and MuJoCo a third)
@@ -28,7 +32,7 @@ _MESHIO: dict[str, tuple[str, ...]] = {  # two programs use .msh (and MuJoCo a t
     ".f3grid": ("flac3d",), ".mdpa": ("mdpa",),
 }  # fmt: skip
 _MUJOCO = (".skn",)
-CELL_FORMATS = tuple(_MESHIO)
+CELL_FORMATS = (*_MESHIO, *_MUJOCO)
 _UNITS = {
     "micrometer": 1e-6, "micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "decimeter": 0.1,
     "meter": 1.0, "inch": 0.0254, "foot": 0.3048, "feet": 0.3048,
@@ -41,25 +45,6 @@ _CURVED = 1e-3  # of the length: second-order cells are split at their edges' mi
 _MOST_STRAIGHTENED = 1e-2  # of the length
 
 
-@dataclass
-class RawMesh:
-    """What a file holds.
-
-    Attributes:
-        vertices: (n, 3), m if the file's unit is known.
-        triangles, tetrahedra: (f, 3), (t, 4); tetrahedra count if there are any.
-        notes: sentences on what was read in another way than it stands there.
-        up, forward: axes that the format lays down ("y"), or None.
-    """
-
-    vertices: np.ndarray
-    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
-    tetrahedra: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.int64))
-    notes: list[str] = field(default_factory=list)
-    up: str | None = None
-    forward: str | None = None
-
-
 def read_file(path: Path) -> RawMesh:
     """Read a mesh file.
 
@@ -69,13 +54,13 @@ def read_file(path: Path) -> RawMesh:
     if not path.is_file():
         there = "is a folder: name a file in it" if path.is_dir() else "does not exist"
         raise DefplanError(f"mesh file {path} {there}")
-    form = path.suffix.lower()
-    if form not in (*SURFACE_FORMATS, *_MESHIO, *_MUJOCO):
-        known = ", ".join((*SURFACE_FORMATS, *_MESHIO, *_MUJOCO))
-        raise DefplanError(f"cannot read {path}: a mesh file ends in one of {known}")
     size = path.stat().st_size
-    if size == 0:
+    named, known = path.suffix.lower(), (*SURFACE_FORMATS, *CELL_FORMATS)
+    if size == 0 and named in known:
         raise DefplanError(f"{path} is empty: it has no bytes; export it again")
+    form = _form(path, named)
+    if form not in known:
+        raise DefplanError(f"cannot read {path}: a mesh file ends in one of {', '.join(known)}")
     memory = _MEMORY + _GROWTH * min(size, _LARGE) + _MORE_GROWTH * max(size - _LARGE, 0)
     try:
         with bounded(memory, _SECONDS + _SECONDS_PER_BYTE * size):
@@ -96,10 +81,18 @@ def read_file(path: Path) -> RawMesh:
             f"{path} has no triangles and no tetrahedra: it is damaged, of another format or was"
             " exported without faces; export it again"
         )
+    if form != named:
+        mesh.notes.insert(0, f"read as {form}: that is what its first bytes say")
     for corners in (mesh.triangles, mesh.tetrahedra):
         if len(corners) and (corners.min() < 0 or corners.max() >= len(mesh.vertices)):
             raise DefplanError(f"{path} names vertices that it does not have: export it again")
     return mesh
+
+
+def _form(path: Path, named: str) -> str:
+    """Return the format of a file: what its first bytes say, else its name."""
+    said = form_of(path)
+    return named if said is None or (said, named) == (".mesh", ".meshb") else said
 
 
 def _read(path: Path, form: str) -> RawMesh:
@@ -118,16 +111,17 @@ def _attempt(path: Path, form: str, read: Callable[[], Any]) -> Any:
     except (MemoryError, DefplanError):
         raise
     except (Exception, SystemExit) as error:  # every loader fails in its own way on a damaged file
+        why = _short(error)
         raise DefplanError(
-            f"{path} cannot be read as a {form} mesh ({_short(error)}): it is damaged or of another"
-            " format; export it again"
+            f"{path} cannot be read as a {form} mesh{f' ({why})' if why else ''}: it is damaged or of"
+            " another format; export it again"
         ) from error
 
 
 def _short(error: BaseException) -> str:
-    """Return the first line of an error's message, or its type; bytes that are no text are no message."""
+    """Return the first line of an error's message, if it has any; bytes that are no text are no message."""
     lines = str(error).strip().splitlines()
-    text = lines[0] if lines else type(error).__name__
+    text = lines[0] if lines else ""
     if isinstance(error, UnicodeDecodeError):
         text = "its bytes are no text"
     return re.sub(r"[^\x20-\x7e]", "?", text).rstrip(".:")[:120]
@@ -137,13 +131,15 @@ def _short(error: BaseException) -> str:
 
 
 def _surface(path: Path, form: str) -> RawMesh:
-    if form == ".stl":
-        _check_stl(path)
     polygons = _attempt(path, form, lambda: _POLYGONS[form](path)) if form in _POLYGONS else None
     if polygons is not None:
         return polygons
+    gltf = form in (".gltf", ".glb")
+    notes = check_gltf(path, form) if gltf else []
     mesh = _attempt(path, form, lambda: trimesh.load(str(path), file_type=form[1:], process=False))
-    notes, factor = [], 1.0
+    factor = 1.0
+    if form == ".3mf":
+        _attempt(path, form, partial(check_3mf, path))
     if isinstance(mesh, trimesh.Scene):
         others = [g for g in mesh.geometry.values() if not isinstance(g, trimesh.Trimesh)]
         if others and len(others) == len(mesh.geometry):
@@ -154,13 +150,12 @@ def _surface(path: Path, form: str) -> RawMesh:
         notes += said
         scene = mesh
         mesh = _attempt(path, form, scene.to_mesh)
-    elif form in (".3mf", ".dae"):
+    elif form == ".3mf":
         factor, said = _unit(getattr(mesh, "units", None), form)
         notes += said
     vertices = _vertices(mesh, path)
     faces = np.array(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
-    gltf = form in (".gltf", ".glb")
-    up = "y" if gltf else _collada_up(path) if form == ".dae" else "z" if form == ".3mf" else None
+    up = "y" if gltf else "z" if form == ".3mf" else None
     return RawMesh(vertices * factor, faces, notes=notes, up=up, forward="z" if gltf else None)
 
 
@@ -173,74 +168,12 @@ def _vertices(part: Any, path: Path) -> np.ndarray:
 
 
 def _unit(name: str | None, form: str) -> tuple[float, list[str]]:
-    """Return metres in a file's unit and what to say of it; only 3MF has one that is surely meant."""
+    """Return metres in a 3MF file's unit and what to say of it; glTF's numbers are metres."""
     if form != ".3mf":
         return 1.0, []
     unit = str(name or "millimeter").lower().rstrip("s")
     factor = _UNITS.get(unit, _UNITS.get(unit + "s", 1e-3))
     return factor, [] if factor == 1.0 else [f"the file's unit is the {unit}: taken as such"]
-
-
-def _collada_up(path: Path) -> str | None:
-    match = re.search(rb"<up_axis>\s*([XYZ])_UP", path.read_bytes()[:100_000])
-    return match[1].decode().lower() if match else "y"
-
-
-def _check_stl(path: Path) -> None:
-    """Refuse a file that is neither a whole binary STL nor a text one."""
-    size = path.stat().st_size
-    with path.open("rb") as stream:
-        head = stream.read(2048)
-    text = head.lstrip()[:5].lower() == b"solid"
-    if text and b"facet" in head:
-        return
-    if text and b"endsolid" in head:
-        raise DefplanError(f"{path} is empty: its solid has no facets")
-    count = int.from_bytes(head[80:84], "little") if size >= 84 else -1
-    if count >= 0 and size >= 84 + 50 * count and (count or size == 84):
-        return
-    whole = 84 + 50 * count
-    if 0 < count < 50_000_000 and size < whole:
-        raise DefplanError(
-            f"{path} is cut short: its header names {count} triangles ({whole} bytes), the file has"
-            f" {size} bytes; copy or export it again"
-        )
-    raise DefplanError(
-        f"{path} cannot be read as a .stl mesh (it has neither the length of a binary one nor the"
-        " word 'facet' of a text one): it is damaged or of another format; export it again"
-    )
-
-
-def _obj(path: Path) -> RawMesh | None:
-    """Return an OBJ file's polygons; None if all faces are triangles, which trimesh reads faster."""
-    if not re.search(rb"^\s*f(?:[ \t]+\S+){4}", path.read_bytes(), re.MULTILINE):
-        return None
-    vertices: list[list[float]] = []
-    faces: list[list[int]] = []
-    text = path.read_text(encoding="utf-8", errors="replace").replace("\\\n", " ")
-    for line in text.splitlines():
-        words = line.split()
-        if not words:
-            continue
-        if words[0] == "v":
-            vertices.append([float(w) for w in words[1:4]])
-        elif words[0] == "f":
-            index = [int(w.split("/", 1)[0]) for w in words[1:]]
-            faces.append([i - 1 if i > 0 else len(vertices) + i for i in index])
-    return _polygons(np.array(vertices, float).reshape(-1, 3), faces)
-
-
-def _off(path: Path) -> RawMesh | None:
-    """Return a text OFF file's polygons; None if trimesh has to try."""
-    text = re.sub(r"#.*", "", path.read_text(encoding="utf-8", errors="replace")).split()
-    if not text or text[0].upper() != "OFF":
-        return None
-    n, f = int(text[1]), int(text[2])
-    vertices = np.array(text[4 : 4 + 3 * n], float).reshape(n, 3)
-    lines = re.sub(r"#.*", "", path.read_text(encoding="utf-8", errors="replace")).splitlines()
-    rows = [w for w in (line.split() for line in lines) if w]
-    faces = [[int(i) for i in row[1 : 1 + int(row[0])]] for row in rows[-f:]] if f else []
-    return _polygons(vertices, faces) if any(len(face) > 3 for face in faces) else None
 
 
 def _ply(path: Path) -> RawMesh | None:
@@ -257,30 +190,25 @@ def _ply(path: Path) -> RawMesh | None:
     return _of_meshio(path, mesh)
 
 
-_POLYGONS: dict[str, Callable[[Path], RawMesh | None]] = {".obj": _obj, ".off": _off, ".ply": _ply}
-
-
-def _polygons(vertices: np.ndarray, faces: list[list[int]]) -> RawMesh:
-    """Return a mesh of faces with any number of corners."""
-    by_size: dict[int, list[list[int]]] = {}
-    for face in faces:
-        by_size.setdefault(len(face), []).append(face)
-    triangles = [np.zeros((0, 3), np.int64)]
-    for size, group in by_size.items():
-        rows = np.array(group, np.int64).reshape(-1, size)
-        if len(rows) and (rows.min() < 0 or rows.max() >= len(vertices)):
-            return RawMesh(vertices, np.array([[0, 0, len(vertices)]]))  # refused by `read_file`
-        if size >= 3:
-            triangles.append(split.split_polygons(vertices, rows))
-    short = sum(len(group) for size, group in by_size.items() if size < 3)
-    notes = [f"{short} faces with fewer than three corners are not used"] if short else []
-    return RawMesh(vertices, np.concatenate(triangles), notes=notes)
+_POLYGONS: dict[str, Callable[[Path], RawMesh | None]] = {
+    ".obj": read_obj, ".off": read_off, ".ply": _ply, ".stl": read_stl, ".dae": read_collada,
+}  # fmt: skip
 
 
 # ---- cells
 
 
 def _cells(path: Path, form: str) -> RawMesh:
+    old = _attempt(path, form, partial(read_gmsh1, path)) if form == ".msh" else None
+    if old is not None:
+        return _of_meshio(path, old)
+    if form == ".vtk":
+        with path.open("rb") as stream:
+            if b"DATASET POLYDATA" in stream.read(1024):
+                raise DefplanError(
+                    f"{path} is a surface of VTK (POLYDATA), which cannot be read: save it as .stl or"
+                    " .ply, or as an unstructured grid"
+                )
     failure: DefplanError | None = None
     for name in _MESHIO[form]:
         try:
@@ -304,8 +232,9 @@ def _of_meshio(path: Path, mesh: Any) -> RawMesh:
     for block in mesh.cells:
         kind = split.linear_kind(block.type)
         if kind is None and block.type.startswith("polygon"):
-            faces = [[int(i) for i in polygon] for polygon in block.data]
-            flat.append(_polygons(vertices, faces).triangles)
+            sizes = np.array([len(polygon) for polygon in block.data], np.int64)
+            corners = np.array([i for polygon in block.data for i in polygon], np.int64)
+            flat.append(of_polygons(vertices, corners, sizes).triangles)
             continue
         if kind is None:
             if not block.type.startswith(("vertex", "line")):

@@ -14,11 +14,12 @@ from defplan_mj.base import files
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.base.progress import Progress, no_progress
 from defplan_mj.body.fidelity import MOST_DISTANCE, Fidelity, distances, measure
-from defplan_mj.body.formats import RawMesh, read_file
+from defplan_mj.body.formats import read_file
 from defplan_mj.body.look import View, look
 from defplan_mj.body.meshing import fill
 from defplan_mj.body.options import BodyOptions
 from defplan_mj.body.orientation import frame_of
+from defplan_mj.body.raw_mesh import RawMesh
 from defplan_mj.body.repair import Repaired, edge_pieces, repair
 from defplan_mj.body.surface import (
     Surface,
@@ -37,6 +38,7 @@ _ENVELOPE = 2e-3  # of the diagonal, at most
 _SIMPLIFIED = 0.6  # of the bound on the mesh: how far a simplified surface may be from its own
 _FEW = 0.6  # of the wanted vertices: with fewer it is filled again, finer
 _CRUMB = 1e-3  # share of the volume
+_ONE_PLACE = 1e-7  # of the length
 _SHAPING = ("vertices", "length", "up", "forward", "strict", "shape_error")
 """The options that a mesh depends on."""
 
@@ -90,22 +92,25 @@ def fill_file(
 def _fill_file(path: Path, options: BodyOptions, progress: Progress, measured: bool) -> Filled:
     raw, warnings = _place(read_file(path), options, path)
     anew: list[str] = []
+    welded: list[str] = []
     if len(raw.tetrahedra):
+        if not options.strict:
+            raw, welded = _weld_cells(raw)
         try:
             mesh = check_tetrahedra(raw.vertices, raw.tetrahedra, path)
         except DefplanError as error:
-            if options.strict or "pieces" in str(error):
+            if options.strict:
                 raise
             why = str(error).removeprefix(f"{path} ").rsplit(":", 1)[0].rsplit(";", 1)[0]
             raw = replace(raw, triangles=_skin(raw), tetrahedra=raw.tetrahedra[:0])
             anew = [f"filled anew: it {why}"]
         else:
-            same = Fidelity(0.0, 0.0, 0.0) if measured else None
-            return Filled(mesh, same, notes=raw.notes, warnings=warnings)
+            same = Fidelity(0.0, 0.0, 0.0, tuple(welded)) if measured else None
+            return Filled(mesh, same, welded, notes=raw.notes, warnings=warnings)
     surface, far = _simplify(raw, path)
     repaired = _sound(surface, path, options.strict)
     filled = _fill(repaired, path, options, progress, measured)
-    filled.repaired = [*anew, *far[1], *filled.repaired]
+    filled.repaired = [*welded, *anew, *far[1], *filled.repaired]
     if filled.fidelity is not None:
         filled.fidelity = replace(
             filled.fidelity,
@@ -193,6 +198,23 @@ def _axes(raw: RawMesh, up: str | None, forward: str | None) -> tuple[str | None
 
 def _across(said: str | None, given: str) -> bool:
     return said is not None and said[-1] != given[-1]
+
+
+def _weld_cells(raw: RawMesh) -> tuple[RawMesh, list[str]]:
+    """Join vertices at one place if the tetrahedra hang together less without; return what was done."""
+    before = face_pieces(raw.tetrahedra)[0].max()
+    if before == 0:
+        return raw, []
+    size = np.ptp(raw.vertices[np.unique(raw.tetrahedra)], axis=0).max()
+    places = np.round(raw.vertices / (_ONE_PLACE * size)) + 0.0
+    _, first, index = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    cells = index.ravel()[raw.tetrahedra]
+    after = np.sort(cells, axis=1)
+    if (np.diff(after, axis=1) == 0).any() or face_pieces(cells)[0].max() >= before:
+        return raw, []
+    joined = len(np.unique(raw.tetrahedra)) - len(np.unique(cells))
+    welded = replace(raw, vertices=raw.vertices[first], tetrahedra=cells)
+    return welded, [f"welded {joined} vertices of cells that lie at one place"]
 
 
 def _skin(raw: RawMesh) -> np.ndarray:

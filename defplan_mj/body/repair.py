@@ -11,9 +11,10 @@ from scipy.spatial import cKDTree
 
 from defplan_mj.base.errors import DefplanError
 from defplan_mj.body.cells import split_polygons
-from defplan_mj.body.fidelity import asked_points, distances_of, winding
+from defplan_mj.body.fidelity import MOST_DISTANCE, distances_of, winding
 from defplan_mj.body.intersections import crossing_triangles
 from defplan_mj.body.surface import Surface, merge_vertices
+from defplan_mj.body.touching import contact
 
 _WELDS = (1e-7, 1e-6, 1e-5, 1e-4)  # of the length; as far as needed
 _MOST_CORNERS = 200  # of a hole that is capped like a polygon; larger ones from their middle
@@ -58,13 +59,15 @@ def repair(vertices: np.ndarray, faces: np.ndarray, path: object) -> Repaired:
     given = len(faces)
     vertices, faces = _close(vertices, faces, size, path, said)
     caps = _keys(faces[given:], len(vertices))
+    closed, used_before = vertices, np.unique(faces)
     label = edge_pieces(faces)
     faces, label = _outward(vertices, faces, label, path, said)
     crowded = bool(_edge_counts(faces).max(initial=0) > 2)
     pairs = crossing_triangles(vertices, faces)
+    several = bool((label[pairs[:, 0]] != label[pairs[:, 1]]).any())  # before crumbs are dropped
     vertices, faces, label = _sort(vertices, faces, label, pairs, size, path, said)
+    _check_lost(closed, faces, np.setdiff1d(used_before, faces), size, path, said)
     if len(pairs):
-        several = len(np.unique(label)) > 1 and (label[pairs[:, 0]] != label[pairs[:, 1]]).any()
         said.append(
             "joined pieces that overlap"
             if several
@@ -79,6 +82,30 @@ def repair(vertices: np.ndarray, faces: np.ndarray, path: object) -> Repaired:
     apart = len(np.unique(label)) > 1 and not any(text.startswith("kept") for text in said)
     simple = not len(pairs) and not crowded and not apart and not any("touch" in t for t in said)
     return Repaired(surface, simple, not simple, tuple(said), own)
+
+
+def _check_lost(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    lost: np.ndarray,
+    size: float,
+    path: object,
+    said: list[str],
+) -> None:
+    """Refuse a body that has lost its extents with what was left out; say how far that reached otherwise."""
+    if len(lost) == 0:
+        return
+    kept = vertices[np.unique(faces)]
+    out = np.maximum(kept.min(0) - vertices[lost], vertices[lost] - kept.max(0)).max() / size
+    if out > MOST_DISTANCE:
+        raise DefplanError(
+            f"{path} has parts without volume or apart from its body that stick out by {out:.1%} of the"
+            " length: give them a thickness, join them to the body or delete them"
+        )
+    gap, inside = distances_of(vertices[lost], Surface(vertices, faces))
+    far = float(np.where(inside, 0.0, gap).max()) / size
+    if far > MOST_DISTANCE:
+        said.append(f"what was left out reached {far:.1%} of the length out of the body")
 
 
 def _keys(faces: np.ndarray, base: int) -> np.ndarray:
@@ -137,7 +164,10 @@ def _weld(
 
 
 def _without_doubles(faces: np.ndarray, said: list[str]) -> np.ndarray:
-    """Drop repeated triangles; two that face each other vanish both: they are a wall inside."""
+    """Drop repeated triangles; two that face each other vanish both if they are a wall inside.
+
+    Otherwise they are the two sides of a surface that is drawn from both, and one of them stays.
+    """
     corners = np.sort(faces, axis=1)
     _, first, index, count = np.unique(
         corners, axis=0, return_index=True, return_inverse=True, return_counts=True
@@ -153,6 +183,12 @@ def _without_doubles(faces: np.ndarray, said: list[str]) -> np.ndarray:
     wrong = keep & (odd * net[index.ravel()] < 0)
     kept = faces.copy()
     kept[wrong] = kept[wrong][:, ::-1]
+    walls = first[net == 0]
+    if len(walls):
+        one_sided = keep.copy()
+        one_sided[walls] = True
+        if not keep.any() or _open(kept[one_sided]) < _open(kept[keep]):
+            keep = one_sided
     said.append(f"dropped {len(faces) - int(keep.sum())} double triangles")
     return kept[keep]
 
@@ -355,7 +391,7 @@ def _sort(
             faces, label = faces[keep], label[keep]
             outer = outer[share >= _CRUMB]
     if len(outer) > 1:
-        gap, width, vertices = _contact(vertices, faces, group[label], outer)
+        gap, width, vertices = contact(vertices, faces, group[label], outer, _TOUCH, _PUSH)
         if gap > _TOUCH * size:
             raise DefplanError(
                 f"{path} is in {len(outer)} pieces that lie apart, by {gap / size:.1%} of the length:"
@@ -369,32 +405,3 @@ def _sort(
             f"joined {len(outer)} pieces that touch, moved by up to {gap / size + _PUSH:.1%}"
         )
     return vertices, faces, label
-
-
-def _contact(
-    vertices: np.ndarray, faces: np.ndarray, group: np.ndarray, outer: np.ndarray
-) -> tuple[float, float, np.ndarray]:
-    """Return the widest gap (m) between groups, how wide (m) the least contact is, and vertices.
-
-    Groups are reached one after the other, the nearest first; its vertices are moved towards what was
-    reached before, so that they overlap a little.
-    """
-    vertices = vertices.copy()
-    size = np.ptp(vertices[np.unique(faces)], axis=0).max()
-    reached, left, widest, width = [outer[0]], list(outer[1:]), 0.0, np.inf
-    while left:
-        there = Surface(vertices, faces[np.isin(group, reached)])
-        best = (np.inf, 0, 0.0, np.zeros(3))
-        for k, g in enumerate(left):
-            points = asked_points(Surface(vertices, faces[group == g]))
-            gap = distances_of(points, there)[0]
-            near = points[gap < max(1e-9 * size, gap.min() * 1.5)]
-            if gap.min() < best[0]:
-                best = (float(gap.min()), k, float(np.ptp(near, axis=0).max()), near.mean(0))
-        gap_here, k, wide, place = best
-        widest, width = max(widest, gap_here), min(width, wide)
-        own = np.unique(faces[group == left[k]])
-        push = place - vertices[own].mean(0)  # from the piece's middle to where it touches
-        vertices[own] += push / max(float(np.linalg.norm(push)), 1e-300) * (gap_here + _PUSH * size)
-        reached.append(left.pop(k))
-    return widest, width, vertices

@@ -77,7 +77,7 @@ def check_surface(vertices: np.ndarray, faces: np.ndarray, path: Path | str) -> 
     """
     scale = np.ptp(vertices[np.unique(faces)], axis=0).max()
     vertices, faces = merge_vertices(vertices, faces)
-    if _open_edges(faces)[0]:
+    if len(faces) and _open_edges(faces)[0]:
         vertices, faces = merge_vertices(vertices, faces, 1e-7 * scale)
     if len(faces) == 0:
         raise DefplanError(f"{path} is empty: all its triangles collapse")

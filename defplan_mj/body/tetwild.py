@@ -20,7 +20,10 @@ from defplan_mj.body.surface import Surface
 from defplan_mj.body.tetmesh import TetMesh, compact, volumes
 
 _WORKER = Path(__file__).with_name("tetwild_worker.py")
-CPU_SECONDS, WALL_SECONDS = 45, 120  # of all attempts for one mesh
+CPU_SECONDS = 45  # of all attempts for one mesh
+WALL_SECONDS = (
+    600  # of one attempt: a busy machine gives a tenth of a core; what it works is bounded above
+)
 _MEMORY = 2 << 30  # bytes
 
 
@@ -89,7 +92,11 @@ def _failure(name: str, code: int, output: bytes, seconds: float) -> str:
     lines = output.decode(errors="replace").strip().splitlines()
     if lines and lines[-1].startswith("no "):
         return f"{name} needs repair, but {lines[-1][3:]}"
-    if code in (-24, -9) or seconds >= WALL_SECONDS:
+    if seconds >= WALL_SECONDS:
+        return (
+            f"{name} could not be filled within {seconds:.0f} s: the machine is busy; try it again"
+        )
+    if code in (-24, -9):
         return (
             f"{name} could not be filled within {seconds:.0f} s: its parts are too thin or too many"
             " for this; simplify it, thicken it or give a tetrahedral mesh"
