@@ -32,16 +32,10 @@ class Rhythm:
     falling: float = 0.0
 
 
-RHYTHMS = {
-    "planar": Rhythm(5.75, 2.5, 32, 0.58),
-    "spatial": Rhythm(3.1, 1.4, 18, 0.58),
-    "ground": Rhythm(np.inf, 2.1, 46, 0.58, 2.6),
-}
-"""What the shipped tasks have: the fish, the jellyfish-like swimmer, the 4-legged and the T-shaped walker."""
 _MOST_STEPS = 200
 
 
-def rhythm(kind: str, hertz: Sequence[float] | np.ndarray, height: float) -> tuple[float, int]:
+def rhythm(rule: Rhythm, hertz: Sequence[float] | np.ndarray, height: float) -> tuple[float, int]:
     """Return the time step, s, and the steps of a cycle.
 
     With f the natural frequencies with the control stiffness, which is what the target shape pulls with:
@@ -51,11 +45,10 @@ def rhythm(kind: str, hertz: Sequence[float] | np.ndarray, height: float) -> tup
     2.50, the swimmer 1.38, the walkers 2.11 and 2.6. The time step has three digits.
 
     Args:
-        kind: 'planar', 'spatial' or 'ground'.
+        rule: of its kind (`taskfile.kinds`).
         hertz: of the modes that are used, with the control stiffness.
         height: of the body, m.
     """
-    rule = RHYTHMS[kind]
     period = max(rule.periods / min(hertz), rule.falling * np.sqrt(height / STANDARD_GRAVITY))
     steps = max(rule.steps, int(np.ceil(period * max(hertz) / rule.finest)))
     steps = min(steps, _MOST_STEPS)
@@ -63,7 +56,7 @@ def rhythm(kind: str, hertz: Sequence[float] | np.ndarray, height: float) -> tup
 
 
 def stiffened(
-    kind: str, options: BodyOptions, hertz: np.ndarray, length: float, height: float
+    rule: Rhythm, options: BodyOptions, hertz: np.ndarray, length: float, height: float
 ) -> tuple[BodyOptions, np.ndarray]:
     """Return options whose Young's modulus suits the body, and its modes, Hz.
 
@@ -74,13 +67,14 @@ def stiffened(
     fall over (`rhythm`): its legs do not carry it. The righting height goes with the length.
 
     Args:
+        rule: of its kind (`taskfile.kinds`).
         hertz: of the modes that are used, with the control stiffness.
         length, height: of the body, m.
     """
     medium = options.medium
     medium = dataclasses.replace(medium, righting_height=medium.righting_height * length)
-    rule, slowest = RHYTHMS[kind], min(hertz)
-    if kind == "ground":
+    slowest = min(hertz)
+    if rule.falling:
         aim = max(slowest, rule.periods / (rule.falling * np.sqrt(height / STANDARD_GRAVITY)))
     else:
         aim = min(slowest, rule.fastest / np.sqrt(length))

@@ -14,7 +14,8 @@ from defplan_mj.body.options import AXES, BodyOptions
 from defplan_mj.body.orientation import direction, frame_of, turned
 from defplan_mj.body.surface import Surface
 from defplan_mj.gait.skills import can_steer
-from defplan_mj.taskfile.guess import gait_tasks, guess_task
+from defplan_mj.taskfile.guess import guess_task
+from defplan_mj.taskfile.kinds import KINDS
 from defplan_mj.taskfile.rhythm import rhythm, stiffened
 from tests.samples.meshes import finned
 
@@ -115,7 +116,7 @@ def test_the_rule_of_time_step_and_period_gives_what_the_shipped_tasks_have(name
     assert spec.shipped is not None
     body = Body.load(spec.shipped[0])
     hertz = body.frequencies * np.sqrt(1 + spec.body.material.control_stiffness)
-    timestep, steps = rhythm(kind, hertz, float(np.ptp(body.vertices[:, 2])))
+    timestep, steps = rhythm(KINDS[kind].rhythm, hertz, float(np.ptp(body.vertices[:, 2])))
     assert steps == spec.steps_per_cycle
     assert timestep == pytest.approx(spec.timestep, rel=0.03)
 
@@ -123,27 +124,27 @@ def test_the_rule_of_time_step_and_period_gives_what_the_shipped_tasks_have(name
 def test_a_stiff_swimmer_is_softened_to_the_rhythm_of_the_shipped_one():
     body = BodyOptions()
     for length in (0.5, 1.0, 4.0):
-        soft, hertz = stiffened("planar", body, np.array([20.0, 50.0]), length, 0.3)
+        soft, hertz = stiffened(KINDS["planar"].rhythm, body, np.array([20.0, 50.0]), length, 0.3)
         assert hertz[0] == pytest.approx(5.75 / np.sqrt(length), rel=0.05)
         assert soft.material.youngs_modulus == pytest.approx(1e6 * (hertz[0] / 20) ** 2)
         assert soft.medium.righting_height == pytest.approx(0.03 * length)
-    same, hertz = stiffened("planar", body, np.array([5.7, 20.0]), 1.0, 0.3)
+    same, hertz = stiffened(KINDS["planar"].rhythm, body, np.array([5.7, 20.0]), 1.0, 0.3)
     assert same == body and hertz[0] == 5.7
-    assert stiffened("ground", body, np.array([20.0]), 1.0, 0.7)[0] == body
+    assert stiffened(KINDS["ground"].rhythm, body, np.array([20.0]), 1.0, 0.7)[0] == body
 
 
 def test_a_walker_whose_legs_do_not_carry_it_is_stiffened_until_it_falls_slower_than_it_steps():
     body = BodyOptions()
-    stiff, hertz = stiffened("ground", body, np.array([1.2, 3.0]), 1.0, 0.83)
+    stiff, hertz = stiffened(KINDS["ground"].rhythm, body, np.array([1.2, 3.0]), 1.0, 0.83)
     factor = stiff.material.youngs_modulus / body.material.youngs_modulus
     assert factor > 4 and hertz == pytest.approx(np.array([1.2, 3.0]) * np.sqrt(factor))
-    timestep, steps = rhythm("ground", hertz, 0.83)
+    timestep, steps = rhythm(KINDS["ground"].rhythm, hertz, 0.83)
     assert timestep * steps == pytest.approx(2.6 * np.sqrt(0.83 / 9.81), rel=0.03)
 
 
 def test_a_body_with_fast_modes_has_more_steps_and_never_too_many():
-    assert rhythm("planar", [5.0, 80.0], 0.3)[1] == int(np.ceil(0.5 * 80 / 0.58))
-    assert rhythm("planar", [5.0, 8000.0], 0.3)[1] == 200
+    assert rhythm(KINDS["planar"].rhythm, [5.0, 80.0], 0.3)[1] == int(np.ceil(0.5 * 80 / 0.58))
+    assert rhythm(KINDS["planar"].rhythm, [5.0, 8000.0], 0.3)[1] == 200
 
 
 @pytest.mark.parametrize(
@@ -151,7 +152,7 @@ def test_a_body_with_fast_modes_has_more_steps_and_never_too_many():
     [("planar", None), ("ground", None), ("spatial", (0.0, 0.0, 1.0)), ("spatial", (1.0, 0.0, 0.0))],
 )  # fmt: skip
 def test_guessed_gaits_can_steer(kind, axis):
-    tasks = gait_tasks(kind, 2.0, axis)
+    tasks = KINDS[kind].gaits(2.0, axis or (1.0, 0.0, 0.0))
     space = "spatial" if kind == "spatial" else "planar"
     assert can_steer(tasks, space, axis or (1.0, 0.0, 0.0))
     assert not can_steer(tasks[:1], space, axis or (1.0, 0.0, 0.0))
@@ -162,7 +163,8 @@ def test_guessed_gaits_can_steer(kind, axis):
 
 def test_the_jellyfish_like_body_swims_in_space_as_its_task_does(monkeypatch):
     monkeypatch.setattr(
-        "defplan_mj.taskfile.guess._with_modes", lambda _, body: (body, np.array([3.0, 16.0]))
+        "defplan_mj.taskfile.guess._with_modes",
+        lambda _, body, bends: (body, np.array([3.0, 16.0])),
     )
     monkeypatch.setattr("defplan_mj.taskfile.guess._as_tried", lambda spec, *_: spec)
     shipped = registry.get_task("quadruped-swim")

@@ -20,8 +20,8 @@ from defplan_mj.gait.switching import Switching
 from defplan_mj.planning.planner import TrainResult
 from defplan_mj.report.material import gather
 from defplan_mj.task import Navigation
-from defplan_mj.taskfile import guess
 from defplan_mj.taskfile.guess import guess_task
+from defplan_mj.taskfile.kinds import KINDS
 from defplan_mj.taskfile.read import read_task
 from defplan_mj.taskfile.write import write_task
 from tests.samples.meshes import finned
@@ -89,8 +89,10 @@ def plugins(monkeypatch):
     kinds = {"gait": "wave", "planner": "first", "feedback": "none"}
     monkeypatch.setattr(registry, "default_solver", lambda kind: kinds[kind])
     for kind in ("planar", "ground"):
-        medium = guess.BODIES[kind].medium
-        monkeypatch.setitem(guess.BODIES, kind, dataclasses.replace(SMALL, medium=medium))
+        usual = KINDS[kind]
+        small = dataclasses.replace(SMALL, medium=usual.body.medium)
+        bends = dataclasses.replace(usual, body=small, bends=True)
+        monkeypatch.setitem(KINDS, kind, bends)
 
     def report(folder, progress=no_progress):
         files.write_text(folder / "report.html", "report")
@@ -339,8 +341,7 @@ def test_a_shipped_task_is_a_start_for_one_s_own(tmp_path, monkeypatch, capfd):
 
 def test_a_mesh_runs_by_one_command(mesh, plugins, verdicts, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
-    name = "defplan_mj.taskfile.guess._navigation"
-    monkeypatch.setattr(name, lambda *_: NAVIGATION)
+    monkeypatch.setattr("defplan_mj.taskfile.kinds.Kind.navigation_of", lambda *_: NAVIGATION)
     code, data, said = run("run", mesh, "--medium", "water", "--json", *FEW[:-1], capfd=capfd)
     assert code == 0 and data["task"] == "shark-swim" and len(data["skills"]) == 3
     assert "ahead is x" in said and "logs/shark-swim.toml" in said
