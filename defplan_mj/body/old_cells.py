@@ -47,7 +47,7 @@ def read_gmsh1(path: Path) -> meshio.Mesh | None:
 
 
 def _words(text: str, path: Path, name: str) -> list[str]:
-    found = re.search(rf"\${name}\s(.*?)\$END{name}", text, re.DOTALL)
-    if found is None:
+    section = re.search(rf"\${name}\s(.*?)\$END{name}", text, re.DOTALL)
+    if section is None:
         raise DefplanError(f"{path} is cut short: it has no $END{name}; copy or export it again")
-    return found[1].split()
+    return section[1].split()

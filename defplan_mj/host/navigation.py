@@ -35,23 +35,6 @@ SceneSampler = Callable[[np.random.RandomState], Scene]
 StepHook = Callable[[Physics, np.ndarray], None]
 
 
-class GaitChoice(specs.DiscreteArray):
-    """The choice among gaits, as the actions' spec: a number of each, which nothing scales."""
-
-    def replace(self, **kwargs: Any) -> GaitChoice:
-        """Return the choice with another name or number of gaits.
-
-        Raises:
-            DefplanError: bounds are to be set, as dm_control's `action_scale` does.
-        """
-        if {"minimum", "maximum"} & set(kwargs):
-            raise DefplanError(
-                f"the actions are gaits, 0 to {self.num_values - 1}, and cannot be scaled: leave action_scale"
-                " out, or take a task whose action is a target shape (swim, walk)"
-            )
-        return super().replace(**kwargs)
-
-
 class Navigate(base.Task):
     """Reach the target of a scene, cycle by cycle, without touching an obstacle.
 
@@ -155,7 +138,7 @@ class Navigate(base.Task):
 
     def action_spec(self, physics: Physics) -> specs.DiscreteArray:
         """Return the choice among the gait's tasks."""
-        return GaitChoice(len(self.gait.task_names), name="gait")
+        return specs.DiscreteArray(len(self.gait.task_names), name="gait")
 
     def before_step(self, action: int, physics: Physics) -> None:
         """Make the coming physics steps one cycle of gait `action`, or the part of it that comes next.

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import pickle
 
 import mujoco
 import numpy as np
 import pytest
-from dm_control.suite.wrappers import action_scale
 from mujoco import rollout
 from scipy.spatial.transform import Rotation
 
@@ -297,14 +295,6 @@ def test_an_action_that_is_no_whole_number_is_refused(action):
     environment.reset()
     with pytest.raises(DefplanError, match=r"there is no gait .*: the actions are 0 to 2"):
         environment.step(action)
-
-
-def test_dm_controls_scaling_of_gaits_is_refused_in_a_sentence():
-    environment = _environment(samples.scene([]))
-    with pytest.raises(DefplanError, match="the actions are gaits, 0 to 2, and cannot be scaled"):
-        action_scale.Wrapper(environment, -1.0, 1.0)
-    spec = pickle.loads(pickle.dumps(environment.action_spec())).replace(name="which")
-    assert (spec.name, spec.num_values) == ("which", 3)
 
 
 def test_gait_of_another_body_is_refused():
