@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -76,10 +76,17 @@ def get_task(name: str) -> TaskSpec:
         DefplanError: there is none of that name, or its plugin is broken.
     """
     spec = _get(TASKS, "task", name)
-    blank = {field: kind for field, kind in CHOICES.items() if not getattr(spec, field)}
-    return (
-        replace(spec, **{f: default_solver(kind) for f, kind in blank.items()}) if blank else spec
-    )
+    chosen = {field: getattr(spec, field) for field in CHOICES}
+    return spec if all(chosen.values()) else replace(spec, **with_defaults(chosen))
+
+
+def with_defaults(chosen: Mapping[str, str]) -> dict[str, str]:
+    """Return the solvers by a task's fields (`CHOICES`), the default one where none is named.
+
+    Raises:
+        DefplanError: there is no default one.
+    """
+    return {field: chosen[field] or default_solver(kind) for field, kind in CHOICES.items()}
 
 
 def default_solver(kind: str) -> str:

@@ -6,6 +6,8 @@ import re
 
 import numpy as np
 
+from defplan_mj.base.segments import segment_distance
+
 # Faces of the linear cells, outward, by local corner.
 FACES: dict[str, tuple[tuple[int, ...], ...]] = {
     "tetra": ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1)),
@@ -60,13 +62,11 @@ def straighten(
     if cells.shape[1] < corners + len(edges):
         return cells[:, :corners], 0.0
     ends, order = np.array(edges), _order(kind, cells.shape[1])
-    if (
-        order > 2
-    ):  # their nodes stand in an order of each format's own: any edge of the cell will do
+    if order > 2:
+        # their nodes stand in an order of each format's own: any edge of the cell will do
         nodes = vertices[cells[:, corners : corners + len(edges) * (order - 1)]]
-        return cells[:, :corners], _off_segments(
-            nodes, *np.moveaxis(vertices[cells[:, ends]], 2, 0)
-        )
+        start, end = vertices[cells[:, ends[:, 0]]], vertices[cells[:, ends[:, 1]]]
+        return cells[:, :corners], _off_edges(nodes, start, end)
     middle = 0.5 * (vertices[cells[:, ends[:, 0]]] + vertices[cells[:, ends[:, 1]]])
     nodes = vertices[cells[:, corners : corners + len(edges)]]
     off = float(np.linalg.norm(nodes - middle, axis=-1).max(initial=0.0))
@@ -90,17 +90,11 @@ def _order(kind: str, nodes: int) -> int:
     return 2
 
 
-def _off_segments(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    """Return how far, m, the worst of points (c, p, 3) is from the nearest of its cell's segments (c, e, 3)."""
-    along = end - start
-    square = np.maximum((along**2).sum(-1), 1e-300)
+def _off_edges(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
+    """Return how far, m, the worst of points (c, p, 3) is from the nearest of its cell's edges (c, e, 3)."""
     least = np.full(points.shape[:2], np.inf)
-    for e in range(along.shape[1]):
-        gap = points - start[:, None, e]
-        share = np.clip((gap * along[:, None, e]).sum(-1) / square[:, None, e], 0.0, 1.0)
-        least = np.minimum(
-            least, np.linalg.norm(gap - share[..., None] * along[:, None, e], axis=-1)
-        )
+    for e in range(start.shape[1]):  # one by one: all at once would be e times the memory
+        least = np.minimum(least, segment_distance(points, start[:, None, e], end[:, None, e]))
     return float(least.max(initial=0.0))
 
 

@@ -136,27 +136,23 @@ def _surface(path: Path, form: str) -> RawMesh:
         return polygons
     gltf = form in (".gltf", ".glb")
     notes = check_gltf(path, form) if gltf else []
-    mesh = _attempt(path, form, lambda: trimesh.load(str(path), file_type=form[1:], process=False))
-    factor = 1.0
     if form == ".3mf":
         _attempt(path, form, partial(check_3mf, path))
+    mesh = _attempt(path, form, lambda: trimesh.load(str(path), file_type=form[1:], process=False))
+    factor, said = _unit(getattr(mesh, "units", None), form)
     if isinstance(mesh, trimesh.Scene):
         others = [g for g in mesh.geometry.values() if not isinstance(g, trimesh.Trimesh)]
         if others and len(others) == len(mesh.geometry):
             return RawMesh(np.concatenate([_vertices(g, path) for g in others]))
         if others:
             notes.append(f"{len(others)} lines or point clouds beside the surfaces are not used")
-        factor, said = _unit(mesh.units, form)
-        notes += said
-        scene = mesh
-        mesh = _attempt(path, form, scene.to_mesh)
-    elif form == ".3mf":
-        factor, said = _unit(getattr(mesh, "units", None), form)
-        notes += said
+        mesh = _attempt(path, form, mesh.to_mesh)
     vertices = _vertices(mesh, path)
     faces = np.array(getattr(mesh, "faces", np.zeros((0, 3))), np.int64).reshape(-1, 3)
     up = "y" if gltf else "z" if form == ".3mf" else None
-    return RawMesh(vertices * factor, faces, notes=notes, up=up, forward="z" if gltf else None)
+    return RawMesh(
+        vertices * factor, faces, notes=notes + said, up=up, forward="z" if gltf else None
+    )
 
 
 def _vertices(part: Any, path: Path) -> np.ndarray:

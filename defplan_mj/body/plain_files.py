@@ -18,7 +18,7 @@ _PRECISE = 1e-3  # of the length: coarser steps between single-precision coordin
 
 def read_obj(path: Path) -> RawMesh:
     """Return an OBJ file's vertices and polygons: of a corner, what stands before its first slash counts."""
-    text = _text(path).replace("\\\n", " ")
+    text = _text(path.read_bytes()).replace("\\\n", " ")
     places = re.findall(r"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", text, re.MULTILINE)
     vertices = np.array(places, float).reshape(-1, 3)
     short = re.search(r"^[ \t]*v((?:[ \t]+[^\s#]+){0,2})[ \t]*(?:#.*)?$", text, re.MULTILINE)
@@ -47,9 +47,8 @@ def _absolute(text: str, index: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     return np.where(index < 0, index + 1 + np.repeat(before, sizes), index)
 
 
-def _text(path: Path) -> str:
+def _text(data: bytes) -> str:
     """Return a file's text with plain line ends, in the encoding that its first bytes tell."""
-    data = path.read_bytes()
     coding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     return data.decode(coding, errors="replace").replace("\r\n", "\n").replace("\r", "\n")
 
@@ -62,9 +61,10 @@ def read_off(path: Path) -> RawMesh | None:
 
     None if it has no lines as usual.
     """
-    if re.match(rb"\s*\w*OFF\s+BINARY", path.read_bytes()[:100]):
+    data = path.read_bytes()
+    if re.match(rb"\s*\w*OFF\s+BINARY", data[:100]):
         raise DefplanError(f"{path} is a binary OFF file: export it as text, or as STL or PLY")
-    text = re.sub(r"#.*", "", _text(path))
+    text = re.sub(r"#.*", "", _text(data))
     head = re.match(r"\s*(ST)?C?N?OFF\b", text)
     if head is None:
         return None

@@ -26,14 +26,16 @@ _SIGNS: tuple[tuple[str, bytes], ...] = (
 
 def form_of(path: Path) -> str | None:
     """Return the ending that a mesh file's first bytes stand for (".ply"); None if they tell nothing."""
+    size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(_HEAD)
-    if head[:4] == b"PK\x03\x04" and b"3D/" in head + path.read_bytes()[-_HEAD:]:
+        stream.seek(max(0, size - _HEAD))
+        tail = stream.read(_HEAD)  # a zip archive's list of files
+    if head[:4] == b"PK\x03\x04" and b"3D/" in head + tail:
         return ".3mf"
     for form, sign in _SIGNS:
         if re.match(sign, head, re.IGNORECASE | re.DOTALL):
             return form
-    size = path.stat().st_size
     if size > 84 and size == 84 + 50 * int.from_bytes(head[80:84], "little"):
         return ".stl"
     return None

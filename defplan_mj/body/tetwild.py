@@ -21,9 +21,8 @@ from defplan_mj.body.tetmesh import TetMesh, compact, volumes
 
 _WORKER = Path(__file__).with_name("tetwild_worker.py")
 CPU_SECONDS = 45  # of all attempts for one mesh
-WALL_SECONDS = (
-    600  # of one attempt: a busy machine gives a tenth of a core; what it works is bounded above
-)
+# Of one attempt: a busy machine may give a tenth of a core; what it works is bounded above.
+WALL_SECONDS = 600
 _MEMORY = 2 << 30  # bytes
 
 

@@ -32,8 +32,8 @@ def run(sub: argparse.ArgumentParser) -> None:
     )
     shared.guessing(sub)
     shared.stage(sub)
-    sub.add_argument("--gait-solver", metavar="NAME", help="(default: the run's or task's)")
-    sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
+    shared.solver(sub, "gait-solver")
+    shared.solver(sub, "planner")
     shared.feedback(sub)
     sub.add_argument(
         "--compare-with",
@@ -81,8 +81,7 @@ def study(sub: argparse.ArgumentParser) -> None:
     shared.workers(sub, "runs", "1")
     sub.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR",
                      help="where the study's folder lies (default: logs)")  # fmt: skip
-    sub.add_argument("--remake", action="store_true",
-                     help="make finished stages anew if they were made with other options")  # fmt: skip
+    shared.remake(sub)
     shared.common(sub)
 
 
@@ -147,7 +146,7 @@ def body(sub: argparse.ArgumentParser) -> None:
 
 def gait(sub: argparse.ArgumentParser) -> None:
     shared.task(sub)
-    sub.add_argument("--gait-solver", metavar="NAME", help="(default: the run's or task's)")
+    shared.solver(sub, "gait-solver")
     shared.stage(sub)
     shared.common(sub)
 
@@ -163,7 +162,7 @@ def surrogate(sub: argparse.ArgumentParser) -> None:
 
 def planner(sub: argparse.ArgumentParser) -> None:
     shared.task(sub)
-    sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
+    shared.solver(sub, "planner")
     shared.training(sub)
     shared.stage(sub)
     shared.common(sub)
@@ -171,7 +170,7 @@ def planner(sub: argparse.ArgumentParser) -> None:
 
 def evaluate(sub: argparse.ArgumentParser) -> None:
     shared.task(sub)
-    sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
+    shared.solver(sub, "planner")
     shared.feedback(sub)
     sub.add_argument(
         "--shield",
@@ -376,7 +375,7 @@ def replay(sub: argparse.ArgumentParser) -> None:
 
 def view(sub: argparse.ArgumentParser) -> None:
     shared.task(sub)
-    sub.add_argument("--planner", metavar="NAME", help="(default: the run's or task's)")
+    shared.solver(sub, "planner")
     shared.feedback(sub)
     sub.add_argument(
         "--shield", action=argparse.BooleanOptionalAction, default=True, help="(default: with it)"

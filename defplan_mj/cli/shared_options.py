@@ -35,6 +35,10 @@ def training(sub: argparse.ArgumentParser) -> None:
     )
 
 
+def solver(sub: argparse.ArgumentParser, name: str) -> None:
+    sub.add_argument(f"--{name}", metavar="NAME", help="(default: the run's or task's)")
+
+
 def feedback(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--feedback", metavar="NAME", help="see `defplan list` (default: the run's or task's)"
@@ -53,6 +57,10 @@ def stage(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--logs", type=Path, default=Path("logs"), metavar="DIR",
                      help="where the runs lie (default: logs)")  # fmt: skip
     sub.add_argument("--fresh", action="store_true", help="use nothing made before")
+    remake(sub)
+
+
+def remake(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--remake", action="store_true",
                      help="make finished stages anew if they were made with other options")  # fmt: skip
 

@@ -168,6 +168,12 @@ class GaitProblem:
         """Return w of mu (D, r), alpha and beta (K, D, r)."""
         return np.concatenate([mu.ravel(), alpha.ravel(), beta.ravel()])
 
+    def together(self, alone: Sequence[np.ndarray], phases: int = 0) -> np.ndarray:
+        """Return w of gaits that were found for each task alone (`alone`), with the phases of one of them."""
+        parts = [self.alone(j).split(w) for j, w in enumerate(alone)]
+        alpha, beta = (np.concatenate([part[i] for part in parts]) for i in (1, 2))
+        return self.join(parts[phases][0], alpha, beta)
+
     @cached_property
     def dmp(self) -> ca.Function:
         """w -> target shapes (r, K n): the DMP of each task over one cycle, task after task."""

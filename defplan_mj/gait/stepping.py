@@ -27,11 +27,8 @@ _RIDGE = 0.05  # of the largest singular value of the feet's motion: less is no 
 _SHARPNESS = 1.0  # beta of each element
 _CHANCE = 8  # random gaits, for a body without feet
 _ALONE = 3  # cycles of a task alone, the first of which does not count
-_ITERATIONS = (
-    10,
-    30,
-    20,
-)  # of each start of a task alone, of the best of them, of all tasks together
+_ITERATIONS = (10, 30)  # of each start of a task alone, and of the best of them
+_TOGETHER = 20  # iterations of all tasks together
 _KEPT = 3  # starts that go on
 _SHARP = 0.15  # scale of beta
 
@@ -44,30 +41,26 @@ def walking(problem: GaitProblem, seed: int, progress: Progress = no_progress) -
     Phases stay what they are, which is the same in all gaits that step.
     """
     rng, tasks = np.random.default_rng(seed), range(problem.n_tasks)
-    message, share = "trying what the body can do", 1.0 / (problem.n_tasks + 1)
-    parts = []
+    alone: list[np.ndarray] = []
     for j in tasks:
-        parts.append(_alone(problem.alone(j), seed, rng))
-        progress(message, share * len(parts))
-    mu, alphas, betas = zip(*parts, strict=True)
-    w = problem.join(mu[0], np.concatenate(alphas), np.concatenate(betas))
+        alone.append(_alone(problem.alone(j), seed, rng))
+        progress("trying what the body can do", len(alone) / (problem.n_tasks + 1))
+    w = problem.together(alone)
     pairs = [[i, j] for i in tasks for j in tasks]
-    return _descent(problem, pairs, 0, THREADS).improve(w, _ITERATIONS[2])[1]
+    return _descent(problem, pairs, 0, THREADS).improve(w, _TOGETHER)[1]
 
 
-def _alone(
-    alone: GaitProblem, seed: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return mu, alpha, beta of the best gait found for one task."""
+def _alone(alone: GaitProblem, seed: int, rng: np.random.Generator) -> np.ndarray:
+    """Return w of the best gait found for one task."""
     starts = list(stepping_gaits(alone)) or [alone.random_gait(rng) for _ in range(_CHANCE)]
     if seed:  # another seed is another start
         starts = [w + 0.1 * _jitter(alone, rng) for w in starts]
     descent = _descent(alone, [[0] * _ALONE], 1, 1)
     with ThreadPoolExecutor(THREADS) as pool:  # CasADi lets other threads run meanwhile
-        for iterations in _ITERATIONS[:2]:
+        for iterations in _ITERATIONS:
             tried = list(pool.map(lambda w, most=iterations: descent.improve(w, most), starts))
             starts = [w for _, w in sorted(tried, key=lambda pair: pair[0])[:_KEPT]]
-    return alone.split(starts[0])
+    return starts[0]
 
 
 def _descent(

@@ -135,9 +135,7 @@ def _together(problem: GaitProblem, seed: int, progress: Progress) -> np.ndarray
         for done, (j, w) in enumerate(zip(others, ends, strict=True), start=2):
             chosen[j] = w
             progress("trying what the body can do", done / count)
-    parts = [alone[j].split(chosen[j]) for j in range(count)]
-    mu = parts[first][0]
-    return problem.join(mu, *(np.concatenate([part[i] for part in parts]) for i in (1, 2)))
+    return problem.together([chosen[j] for j in range(count)], first)
 
 
 def bent_gaits(alone: GaitProblem, w: np.ndarray) -> Iterator[np.ndarray]:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from defplan_mj.base.segments import segment_distance
 from defplan_mj.planning.frames import angles, attitude_frames, renewed, turns
 from defplan_mj.planning.outcome import COLLISION, RUNNING, SUCCESS, TIMEOUT
 from defplan_mj.planning.scene import SceneBatch
@@ -80,16 +81,6 @@ class BallView:
     def obstacles(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the balls' centres in the robots' frames (n, m, d) and radii (n, m), m."""
         return (self.centres - self.position[:, None]) @ self.frames, self.radii
-
-
-def segment_distance(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return the distance of points to segments; all arguments (..., d), broadcast together."""
-    edge = end - start
-    offset = point - start
-    length = np.maximum(np.einsum("...d,...d->...", edge, edge), 1e-12)
-    share = np.clip(np.einsum("...d,...d->...", offset, edge) / length, 0, 1)
-    gap = offset - share[..., None] * edge
-    return np.sqrt(np.einsum("...d,...d->...", gap, gap))
 
 
 class Sight(NamedTuple):

@@ -119,11 +119,8 @@ def _robots(study: Study) -> list[_Robot]:
         robots.append(_Robot(source, *names, effort=spec.effort, stands=stands))
     for mesh in study.meshes:
         name = mesh_task_name(Path(mesh), study.medium)
-        chosen = mesh_task_solvers(study.medium)
-        gait, planner, feedback = (
-            chosen[field] or registry.default_solver(kind)
-            for field, kind in registry.CHOICES.items()
-        )
+        solvers = registry.with_defaults(mesh_task_solvers(study.medium))
+        gait, planner, feedback = (solvers[field] for field in registry.CHOICES)
         robots.append(_Robot(mesh, name, gait, planner, feedback, study.medium, EFFORT))
     return robots
 

@@ -29,7 +29,7 @@ from defplan_mj.gait.trials import (
 )
 from defplan_mj.task import TaskSpec
 from defplan_mj.taskfile.find import EFFORT, MEDIA, mesh_task_name, mesh_task_solvers
-from defplan_mj.taskfile.kinds import KINDS, Kind, triple
+from defplan_mj.taskfile.kinds import GAIT_CYCLES, KINDS, Kind, triple
 from defplan_mj.taskfile.rhythm import rhythm, stiffened
 
 _ROUND = 0.1  # by how much the two extents across the axis of a round body may differ
@@ -102,7 +102,7 @@ def guess_task(
         timestep=timestep,
         steps_per_cycle=steps,
         gait_tasks=kind.gaits(size, own),
-        gait_steps=kind.gait_cycles * steps,
+        gait_steps=GAIT_CYCLES * steps,
         weights=kind.weights_of(size),
         axis=own,
         terrain=GROUND.terrain if kind.walks else None,

@@ -19,6 +19,7 @@ from defplan_mj.taskfile.rhythm import Rhythm
 Axis = tuple[float, float, float]
 _MOVED = 0.01  # a fish's tail fin moves 1.4% of it, a cow's ears, horns and tail .2 to .6%
 _STILL = (0.0, 0.0, 0.0)
+GAIT_CYCLES = 8  # that gaits are judged by: half of what the shipped swimmers have
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,6 @@ class Kind:
         body: how it is built: about as the body of the shipped task.
         rhythm: its time step and cycle.
         gaits: (length, m; own axis) to what its gaits should do.
-        gait_cycles: that a gait is judged by: half of what the shipped swimmers have.
         more: so many times what a short trial reached is wanted; of a walker no more, or it falls.
         weights: of the gaits, for a body of 1 m.
         navigation: for a body of 1 m.
@@ -44,7 +44,6 @@ class Kind:
     body: BodyOptions
     rhythm: Rhythm
     gaits: Callable[[float, Axis], tuple[GaitTask, ...]]
-    gait_cycles: int
     more: float
     weights: Weights
     navigation: Navigation
@@ -118,7 +117,6 @@ KINDS = {
         ),
         rhythm=Rhythm(fastest=5.75, periods=2.5, steps=32, finest=0.58),
         gaits=_swims_ahead,
-        gait_cycles=8,
         more=2.0,
         weights=Weights(effort=0.15, style="sideways"),
         navigation=_NEAR,
@@ -139,7 +137,6 @@ KINDS = {
         ),
         rhythm=Rhythm(fastest=3.1, periods=1.4, steps=18, finest=0.58),
         gaits=_tilts,
-        gait_cycles=8,
         more=2.0,
         weights=Weights(turn=6.0, move=6.0, drift=6.0, roll=1.0, effort=0.15, style="pulse"),
         navigation=dataclasses.replace(_NEAR, beams=128, space="spatial"),
@@ -161,7 +158,6 @@ KINDS = {
         ),
         rhythm=Rhythm(fastest=np.inf, periods=2.1, steps=46, finest=0.58, falling=2.6),
         gaits=_walks_ahead,
-        gait_cycles=8,
         more=1.0,
         weights=Weights(turn=3.0, move=8.0, drift=8.0, tilt=3.0, slip=0.8),
         navigation=dataclasses.replace(_NEAR, distance=6.0, novel_obstacles=3),

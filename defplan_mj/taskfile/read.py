@@ -273,12 +273,11 @@ class _Reader:
 
     def _with_solvers(self, spec: TaskSpec) -> TaskSpec:
         """Return the task with the default solvers where it names none; fail if one is unknown."""
-        filled: dict[str, Any] = {}
+        chosen = {name: getattr(spec, name) for name in registry.CHOICES}
+        filled: dict[str, Any] = {**registry.with_defaults(chosen)}
         for name, kind in registry.CHOICES.items():
-            chosen = getattr(spec, name)
-            filled[name] = chosen or registry.default_solver(kind)
-            if chosen:
-                self._asked((name,), partial(registry.get_solver, chosen, kind))
+            if chosen[name]:
+                self._asked((name,), partial(registry.get_solver, chosen[name], kind))
         for i, rival in enumerate(spec.rivals):
             self._asked(("rivals", i), partial(registry.get_solver, rival, "gait"))
         sensor, space = spec.navigation.sensor, spec.navigation.space

@@ -25,7 +25,7 @@ OPTIONS = {
 def reach(
     dynamics: ReducedDynamics, goal: np.ndarray, steps: int, solver: str = "ipopt"
 ) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Find target shapes that bring the body from rest to the shape `wanted` (r,), and stop there.
+    """Find target shapes that bring the body from rest to the shape `goal` (r,), and stop there.
 
     Returns:
         states (steps + 1, nx) as the solver has them, target shapes (steps, r), its statistics.

@@ -38,7 +38,7 @@ class Plan:
 
 
 def cost(dynamics: ReducedDynamics, x_end: ca.MX, u: ca.MX, goal: np.ndarray) -> ca.MX:
-    """Return how far the body ends from `wanted` (3,), and what its target shapes u (r x N) cost."""
+    """Return how far the body ends from `goal` (3,), and what its target shapes u (r x N) cost."""
     scaled = u / ca.DM(dynamics.body.amplitude)
     changes = scaled[:, 1:] - scaled[:, :-1]
     return (
@@ -126,7 +126,7 @@ def multiple_shooting(
 
 
 def report(dynamics: ReducedDynamics, name: str, plan: Plan, goal: np.ndarray) -> float:
-    """Simulate a plan, print how it did, and return how far from `wanted` the simulation ends, m."""
+    """Simulate a plan, print how it did, and return how far from `goal` the simulation ends, m."""
     states = dynamics.rollout(dynamics.rest_state(), plan.shapes)
     miss = float(np.linalg.norm(states[-1, :3] - goal))
     gap = np.abs(states - plan.states).max()

@@ -114,6 +114,7 @@ def test_trials_ask_for_the_same_whatever_is_wanted(dynamics):
 
 @pytest.mark.slow
 def test_a_walker_learns_to_step_in_a_trial(dynamics, monkeypatch):
-    monkeypatch.setattr(stepping, "_ITERATIONS", (3, 8, 2))
+    monkeypatch.setattr(stepping, "_ITERATIONS", (3, 8))
+    monkeypatch.setattr(stepping, "_TOGETHER", 2)
     tried = try_tasks(problem(dynamics, GaitTask("forward", move=(0.4, 0, 0))))
     assert tried.trials[0].advance > 0.05
