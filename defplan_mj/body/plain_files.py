@@ -23,6 +23,10 @@ def read_obj(path: Path) -> RawMesh:
     vertices = np.array(places, float).reshape(-1, 3)
     short = re.search(r"^[ \t]*v((?:[ \t]+[^\s#]+){0,2})[ \t]*(?:#.*)?$", text, re.MULTILINE)
     if short is not None:
+        if not text[short.end() :].strip():
+            raise DefplanError(
+                f"{path} is cut short: it ends within a vertex; copy or export it again"
+            )
         count = len(short[1].split())
         raise DefplanError(f"{path}: its vertices have {count} coordinates, not 3")
     lines = re.findall(r"^[ \t]*fo?[ \t]+([^\n#]*)", text, re.MULTILINE)

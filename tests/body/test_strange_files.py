@@ -55,6 +55,16 @@ def test_obj_indices_that_are_not_there_are_refused(tmp_path):
             read_file(path)
 
 
+def test_an_obj_that_ends_within_a_vertex_is_called_cut_and_one_of_a_plane_is_not(tmp_path):
+    path = tmp_path / "box.obj"
+    path.write_text(obj([])[:-14])
+    with pytest.raises(DefplanError, match="is cut short: it ends within a vertex"):
+        read_file(path)
+    path.write_text("v 0 0\nv 1 0\nv 1 1\nf 1 2 3\n")
+    with pytest.raises(DefplanError, match="its vertices have 2 coordinates, not 3"):
+        read_file(path)
+
+
 def test_off_with_colours_keeps_concave_polygons(tmp_path):
     ell = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]], float)
     vertices = [f"{x} {y} {z} 9 9 9 255" for z in (0, 1) for x, y in ell]
